@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from bayesbl.measurement.routes import groups_of
+from bayesbl.measurement import shared_groups
+from bayesbl.measurement.routes import ROUTES
+from bayesbl.results.variables import Group
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = Path(__file__).parent / "paper.md"
@@ -224,7 +226,8 @@ def _result(path: str) -> str:
         If it does not.
     """
     route, group, variable = path.split("/")
-    (declared,) = [g for g in groups_of(route) if g.name == group]
+    names = [*vars(import_module(ROUTES[route])).values(), *vars(shared_groups).values()]
+    (declared,) = [one for one in names if isinstance(one, Group) and one.name == group]
     declared.variable(variable)
     return f"`{path}`"
 

@@ -28,6 +28,7 @@ from bayesbl.fleet.plant_tables import (
     recording_row,
     write_table,
 )
+from bayesbl.measurement.wear import WearDraws
 from bayesbl.presentation.page.plant import write_pages
 from bayesbl.results.store import write_json
 from bayesbl.runs.fleet import summary_of
@@ -70,18 +71,14 @@ def simulated(
             file = f"data/{joint.name}/{day}.csv"
             rows.append({**row, "joint": joint.name, "date": day.isoformat(), "file": file})
         used = tuple(n for n, outcome in enumerate(outcomes) if outcome != REFUSED)
-        found = JointAnswer(
-            None,
-            "direct",
-            used,
-            gaps[[used[-1]]],
+        wear = WearDraws(
             rates,
+            np.zeros(DRAWS, dtype=int),
+            rates * 10.0 ** generator.uniform(-6.0, 0.0, DRAWS),
             rates,
             np.maximum(1.2e-3 - gaps[used[-1]], 0.0) / rates,
-            np.zeros(DRAWS),
-            rates * 10.0 ** generator.uniform(-6.0, 0.0, DRAWS),
-            1.0,
         )
+        found = JointAnswer(None, "direct", used, gaps[[used[-1]]], wear)
         dates = tuple(day.isoformat() for day in days)
         yield Measured(joint, found, dates, tuple(outcomes)), rows
 

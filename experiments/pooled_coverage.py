@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import truncnorm
 
-from bayesbl.fleet.pooled_rates import Draws, Pooled, pooled
-from bayesbl.measurement.wear import KINDS, SCATTER
+from bayesbl.fleet.pooled_rates import Pooled, pooled
+from bayesbl.measurement.wear import KINDS, SCATTER, WearDraws
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.provenance import git_commit
 
@@ -58,11 +58,11 @@ def fleet(
     return truth, draws
 
 
-def of_rate(rate: FloatArray, generator: np.random.Generator) -> Draws:
+def of_rate(rate: FloatArray, generator: np.random.Generator) -> WearDraws:
     """Draws of a joint that tells nothing of laws and jumps: these are of the prior."""
     kind = generator.choice(len(KINDS), rate.size, p=[one.probability for one in KINDS])
     scatter = SCATTER[0] * (SCATTER[1] / SCATTER[0]) ** generator.uniform(size=rate.size)
-    return Draws(rate, kind, rate * scatter**2)
+    return WearDraws(rate, kind, rate * scatter**2, rate)
 
 
 def bounds(draws: list[FloatArray]) -> FloatArray:

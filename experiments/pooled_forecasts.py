@@ -25,8 +25,8 @@ import numpy as np
 from forecasts import ALPHA, HORIZON_ALPHA, LAST_AT, LEVEL, law_of, measured, reached
 from numpy.typing import NDArray
 
-from bayesbl.fleet.pooled_rates import Borrowed, Draws, alarms, pooled
-from bayesbl.measurement.wear import wear
+from bayesbl.fleet.pooled_rates import Borrowed, alarms, pooled
+from bayesbl.measurement.wear import WearDraws, wear
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.provenance import git_commit
 
@@ -102,7 +102,7 @@ def fleet(seed: int) -> list[dict[str, Any]]:
     for name, laws in TYPES.items():
         made = (joint(laws[n % len(laws)], n, generator) for n in range(JOINTS))
         seen = [one for one in made if one is not None]
-        found = pooled([Draws(one.rate, one.kind, one.jump) for one in seen], pooling)
+        found = pooled([WearDraws(one.rate, one.kind, one.jump, one.rate) for one in seen], pooling)
         assert found is not None
         for one, borrowed in zip(seen, found.joints, strict=True):
             line = {"type": name, "joint": one, "over": one.remaining == 0.0}

@@ -117,7 +117,7 @@ def recorded_channels(snapshot: Snapshot) -> tuple[FloatArray, dict[str, FloatAr
     lacking = [
         name
         for name in _CHANNELS
-        if not any(name in snapshot.groups[g] for g in ("observed_data", "constant_data"))
+        if not any(name in snapshot.group(g) for g in ("observed_data", "constant_data"))
     ]
     if lacking:
         raise ResultError(

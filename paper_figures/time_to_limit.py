@@ -8,11 +8,11 @@ from typing import cast
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.measurement.stored import summary_of
 from bayesbl.measurement.summary_types import ComparisonSummary
 from bayesbl.presentation.figures.gap import wear
 from bayesbl.presentation.figures.style import GAP
 from bayesbl.presentation.wear import sentences, with_rate
+from bayesbl.results.store import summary_of
 
 
 def data(stored: Stored) -> xr.DataTree:

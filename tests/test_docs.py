@@ -16,7 +16,7 @@ import typer.main
 from places import ROOT
 
 from bayesbl.cli import app
-from bayesbl.presentation.citations import all_bibtex
+from bayesbl.presentation.console import all_bibtex
 
 DESIGN = ROOT / "docs" / "design.md"
 CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")

@@ -13,7 +13,7 @@ from places import ROOT
 import bayesbl
 from bayesbl import cli
 from bayesbl.cli.commands import compare_command, diagnose_command, fit_command, identify_command
-from bayesbl.presentation.citations import all_bibtex
+from bayesbl.presentation.console import all_bibtex
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 CODE = re.compile(r"^```(?:python|\{code-cell\}.*?)\n(?::.*?\n)*(.*?)^```", re.S | re.M)

@@ -549,7 +549,7 @@ def inspect_command(result: ResultPath, **given: Any) -> None:
 
 def cite_command() -> None:
     """Print what to cite, as BibTeX, with what each work did."""
-    from bayesbl.presentation.citations import all_bibtex
+    from bayesbl.presentation.console import all_bibtex
     from bayesbl.presentation.terminal import say
 
     say(all_bibtex())

@@ -28,10 +28,10 @@ from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verd
 from bayesbl.diagnosis.disagreement import ComparedPiece, DisagreementTableSummary
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
-from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
+from bayesbl.measurement.shared_groups import CHAIN, DRAW
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import Interval, IntervalKind, interval
-from bayesbl.results.store import Head, head
+from bayesbl.results.store import Head
 from bayesbl.results.variables import Group, Variable, columns, dataset, padded, table
 from bayesbl.sentences import flaws_in_words
 from bayesbl.units import unit_of
@@ -145,12 +145,6 @@ class DiagnosisSummary(Head, Answer):
     """``summary.json``."""
 
     kind: Literal["diagnose"]
-
-
-def summarise_diagnosis(tree: xr.DataTree) -> DiagnosisSummary:
-    """``summary.json`` of a stored diagnosis."""
-    answer: Answer = json.loads(tree.attrs["diagnosis"])
-    return {"kind": "diagnose", **head(tree), **answer}
 
 
 def answer_of(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> Answer:
@@ -322,7 +316,7 @@ def diagnosis_tree(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> xr
         "warnings": list(diagnosis.notes),
         "interval_level": level,
         "interval_kind": kind,
-        "diagnosis": json.dumps(answer_of(diagnosis, level, kind), ensure_ascii=False),
+        "summary": json.dumps(answer_of(diagnosis, level, kind), ensure_ascii=False),
         "augmented_bench": "" if bench is None else dump_bench(bench),
     }
     return tree
@@ -347,4 +341,4 @@ def posterior_dataset(posterior: DirectPosterior) -> xr.Dataset:
         name = result_name(unknown)
         label = name if unknown.recording is None else f"{name} ({unknown.recording})"
         values[label] = unknown.value(posterior.draws[..., i])
-    return dataset(POSTERIOR, values, numbered(posterior.draws.shape))
+    return dataset(POSTERIOR, values)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from bayesbl.bench.bench import Bench
@@ -31,11 +32,12 @@ from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknown
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason, Seeds
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.stored import stored_answers, summary_of
-from bayesbl.measurement.wear import wear_of, years_between
+from bayesbl.measurement.stored import stored_answers
+from bayesbl.measurement.wear import WearDraws, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import file_sha256
+from bayesbl.results.store import summary_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 
@@ -92,13 +94,8 @@ class JointAnswer:
         Numbers of the recordings that the rate rests on.
     gap_rad
         Their gaps, paired by draw, shape (used, draw).
-    rate_rad_per_year, rate_now_rad_per_year, years_to_limit
-        Draws, shape (draw,), paired; empty where there are none.
-    kind
-        Of the law of each of these draws, its number in
-        :data:`bayesbl.measurement.wear.KINDS`.
-    jump_rad
-        Mean jump of irregular wear of each of these draws.
+    wear
+        Draws of the rate and of what goes with it; ``None`` where there is none.
     lasting
         As of a recording's answer.
     """
@@ -107,12 +104,7 @@ class JointAnswer:
     route: str = ""
     used: tuple[int, ...] = ()
     gap_rad: FloatArray | None = None
-    rate_rad_per_year: FloatArray | None = None
-    rate_now_rad_per_year: FloatArray | None = None
-    years_to_limit: FloatArray | None = None
-    kind: FloatArray | None = None
-    jump_rad: FloatArray | None = None
-    probability_wear: float | None = None
+    wear: WearDraws | None = None
     lasting: bool = True
 
 
@@ -339,7 +331,7 @@ def _answer(job: JointJob, tree: xr.DataTree) -> RecordingAnswer:
     if gap is not None and route == "direct":
         own = _bench(job)
         unknowns = _unknowns(own, stored.name)
-        draws = [_flat(stored.groups["posterior"][u.name].values) for u in unknowns]
+        draws = [_flat(stored.group("posterior")[u.name].values) for u in unknowns]
         bench = as_normal(unknowns, draws, own.identified).reshape(len(unknowns), gap.size)
     amplitude = None
     if route == "amplitude":
@@ -444,23 +436,10 @@ def _of_group(
     gaps: FloatArray,
 ) -> JointAnswer:
     reason = OTHER_JOINT if group is None else against
-    answer = JointAnswer(reason, route, tuple(used), _thin(gaps))
-    if group is None or reason is not None:
-        return answer
-    rows = {str(name): group[name].values for name in group.data_vars}
-    dates = [day for day, chosen in zip(rows["date"], rows["used"], strict=True) if chosen]
-    first, last = (Date.fromisoformat(str(day)) for day in (dates[0], dates[-1]))
-    span = years_between(first, last)
-    variance_rad2 = rows["scatter_rad_per_root_year"] ** 2 * span
-    return replace(
-        answer,
-        rate_rad_per_year=_flat((rows["current_rad"] - rows["first_rad"]) / span),
-        rate_now_rad_per_year=_flat(rows["rate_now_rad_per_year"]),
-        years_to_limit=_flat(rows["years_to_limit"]) if "years_to_limit" in rows else None,
-        kind=_flat(rows["law"].astype(float)),
-        jump_rad=_flat(variance_rad2 / rows["expected_growth_rad"]),
-        probability_wear=float(np.mean(rows["trend_rad_per_year"] > 0.0)),
-    )
+    wear = None if group is None or reason is not None else WearDraws.of(group)
+    if wear is not None:
+        wear = wear.at(_thin(np.arange(wear.kind.size)))
+    return JointAnswer(reason, route, tuple(used), _thin(gaps), wear)
 
 
 def _text(reason: Reason) -> str:
@@ -492,11 +471,11 @@ def fits_beside(output: Path) -> Path:
     return output.with_name(f".{output.name}.fits")
 
 
-def _thin(draws: FloatArray) -> FloatArray:
+def _thin(draws: NDArray[Any]) -> NDArray[Any]:
     """At most :data:`DRAWS` of them, evenly from all, shape (…, draw)."""
     count = draws.shape[-1]
     if count <= DRAWS:
-        return np.asarray(draws)
+        return draws
     return np.asarray(draws[..., np.linspace(0, count - 1, DRAWS).astype(int)])
 
 

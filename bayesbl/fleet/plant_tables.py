@@ -22,9 +22,8 @@ from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.measured_joint import JointAnswer, RecordingAnswer
-from bayesbl.fleet.pooled_rates import Borrowed, Draws, TypeRates, alarms, pooled
-from bayesbl.measurement.wear import date_after, probability_before, shares, years_between
-from bayesbl.recording.types import FloatArray
+from bayesbl.fleet.pooled_rates import Borrowed, TypeRates, alarms, pooled
+from bayesbl.measurement.wear import WearDraws
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import table
 
@@ -159,9 +158,8 @@ JOINT_COLUMNS = _columns("""
 """Column to its type and meaning; the inventory's own other columns follow them."""
 
 
-def _ends(draws: FloatArray, name: str, of: IntervalConfig) -> dict[str, float]:
+def _ends(name: str, bounds: Mapping[str, Any]) -> dict[str, Any]:
     """Columns of an interval."""
-    bounds = interval(draws, of.level, of.kind)
     return {f"{name}_{end}": bounds[end] for end in ("median", "low", "high")}
 
 
@@ -179,7 +177,8 @@ def recording_row(
     if answer.answers:
         gap = answer.gap_rad
         assert gap is not None
-        row |= _ends(gap, "delta_rad", level) | {"delta_rad_sd": float(gap.std())}
+        row |= _ends("delta_rad", interval(gap, level.level, level.kind))
+        row["delta_rad_sd"] = float(gap.std())
         found_at = map(float, np.quantile(gap, QUANTILES))
         row |= dict(zip(QUANTILE_COLUMNS, found_at, strict=True))
         if joint is not None and joint.limit_rad is not None and joint.curve != "published":
@@ -201,11 +200,10 @@ def pool(
     measured: Sequence[Measured], column: str | None, seed: int, covariates: Sequence[str] = ()
 ) -> tuple[dict[str, TypeRates], dict[str, Borrowed]]:
     """Rates by type, and by joint what its type says of it; ``covariates`` are columns."""
-    groups: dict[str, dict[str, Draws]] = defaultdict(dict)
+    groups: dict[str, dict[str, WearDraws]] = defaultdict(dict)
     for one in measured:
-        draws = _draws(one.answer)
-        if column and draws is not None and one.joint.group(column):
-            groups[one.joint.group(column)][one.joint.name] = draws
+        if column and one.answer.wear is not None and one.joint.group(column):
+            groups[one.joint.group(column)][one.joint.name] = one.answer.wear
     joints = {one.joint.name: one.joint for one in measured}
     types: dict[str, TypeRates] = {}
     borrowed: dict[str, Borrowed] = {}
@@ -219,13 +217,6 @@ def pool(
             types[name] = rates.rates
             borrowed |= dict(zip(members, rates.joints, strict=True))
     return types, borrowed
-
-
-def _draws(answer: JointAnswer) -> Draws | None:
-    rate, kind, jump = answer.rate_rad_per_year, answer.kind, answer.jump_rad
-    if rate is None or kind is None or jump is None:
-        return None
-    return Draws(rate, kind.astype(int), jump)
 
 
 def joint_rows(
@@ -296,38 +287,27 @@ def _joint_row(
         row |= {"first_date": dates[0], "last_date": dates[-1]}
     if answer.gap_rad is not None:
         now = answer.gap_rad[-1]
-        row |= _ends(now, "delta_rad", level)
+        row |= _ends("delta_rad", interval(now, level.level, level.kind))
         if joint.limit_rad is not None and joint.curve != "published":
             row["probability_limit_now"] = float(np.mean(now > joint.limit_rad))
-    rate = answer.rate_rad_per_year
-    if rate is None:
+    if answer.wear is None:
         return row
-    row |= _ends(rate, "rate_alone_rad_per_year", level)
-    row["probability_wear"] = answer.probability_wear
-    own: Any = slice(None) if chosen is None else chosen
-    if answer.kind is not None:
-        law = shares(answer.kind[own])
-        row["law"] = max(law, key=law.__getitem__)
-    row |= _ends(rate[own], "rate_rad_per_year", level)
-    row["rate_rad_per_year_sd"] = float(rate[own].std())
-    if answer.years_to_limit is not None:
-        row |= _forecast(
-            answer.years_to_limit[own], Date.fromisoformat(dates[-1]), level, decide_before
-        )
-    return row
-
-
-def _forecast(
-    years: FloatArray, last: Date, level: IntervalConfig, decide_before: Date | None
-) -> dict[str, Any]:
-    ends = _ends(years, "limit_date", level)
-    ends["limit_date_not_before"] = float(np.quantile(years, 1.0 - level.level))
-    days = {name: date_after(last, value) for name, value in ends.items()}
-    row: dict[str, Any] = {name: day and day.isoformat() for name, day in days.items()}
-    if decide_before is not None and decide_before > last:
-        row["probability_limit_before"] = probability_before(
-            years, years_between(last, decide_before)
-        )
+    last = Date.fromisoformat(dates[-1])
+    before = decide_before if decide_before and decide_before > last else None
+    wear = answer.wear if chosen is None else answer.wear.at(chosen)
+    alone, own = (draws.summary(last, level, before) for draws in (answer.wear, wear))
+    row |= {
+        "probability_wear": alone["probability_wear"],
+        "law": max(own["law"], key=own["law"].__getitem__),
+        "rate_rad_per_year_sd": float(wear.rate_rad_per_year.std()),
+        **_ends("rate_alone_rad_per_year", alone["rate"]),
+        **_ends("rate_rad_per_year", own["rate"]),
+    }
+    if "date_of_limit" in own:
+        row |= _ends("limit_date", own["date_of_limit"])
+        row["limit_date_not_before"] = own["not_before"]["date"]
+    if "probability_before" in own:
+        row["probability_limit_before"] = own["probability_before"]["probability"]
     return row
 
 

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.measurement.wear import KINDS, SCATTER, by_law
+from bayesbl.measurement.wear import KINDS, SCATTER, WearDraws, by_law
 from bayesbl.recording.types import FloatArray
 
 FEWEST_JOINTS = 3
@@ -80,25 +80,6 @@ _FAR = 3.0
 
 _LOG_JUMPS = 2.0 * float(np.log(SCATTER[1] / SCATTER[0]))
 """Width of the prior of ln s of a lone joint."""
-
-
-@dataclass(frozen=True, slots=True)
-class Draws:
-    """Of one joint's own posterior, paired, shape (draw,) each.
-
-    Attributes
-    ----------
-    rate_rad_per_year
-        Positive.
-    kind
-        Number of the kind of law, of :data:`bayesbl.measurement.wear.KINDS`.
-    jump_rad
-        Mean jump of irregular wear: variance of the growth over its mean.
-    """
-
-    rate_rad_per_year: FloatArray
-    kind: NDArray[np.int_]
-    jump_rad: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +148,7 @@ class Pooled:
 
 
 def pooled(
-    joints: Sequence[Draws],
+    joints: Sequence[WearDraws],
     generator: np.random.Generator,
     covariates: Mapping[str, FloatArray] | None = None,
 ) -> Pooled | None:
@@ -234,7 +215,7 @@ class _Log:
     jump: FloatArray
 
     @classmethod
-    def of(cls, draws: Draws, at: NDArray[np.int_] | slice = slice(None)) -> _Log:
+    def of(cls, draws: WearDraws, at: NDArray[np.int_] | slice = slice(None)) -> _Log:
         rate = np.log(np.maximum(draws.rate_rad_per_year[at], 1e-12))
         return cls(rate, draws.kind[at], np.log(draws.jump_rad[at]))
 

@@ -50,7 +50,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED
 from bayesbl.results.intervals import Interval, IntervalKind, interval
-from bayesbl.results.store import Head, head
+from bayesbl.results.store import Head
 from bayesbl.results.variables import dataset
 from bayesbl.sentences import flaws_in_words
 from bayesbl.units import in_words
@@ -127,12 +127,6 @@ class IdentificationSummary(Head, IdentificationAnswer):
     kind: Literal["identify"]
 
 
-def summarise_identification(tree: xr.DataTree) -> IdentificationSummary:
-    """``summary.json`` of a stored identification."""
-    answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
-    return {"kind": "identify", **head(tree), **answer}
-
-
 SHARPER = 0.5
 """Spread of a combination, as a share of that of its sharper member, below which it is reported.
 It chooses words and no number."""
@@ -168,7 +162,7 @@ def identification_tree(
         "warnings": [] if reason else doubts,
         "interval_level": level,
         "interval_kind": kind,
-        "identification": json.dumps(answer, ensure_ascii=False),
+        "summary": json.dumps(answer, ensure_ascii=False),
         "identified_bench": "" if reason else dump_bench(bench),
     }
     return tree

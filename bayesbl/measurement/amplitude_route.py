@@ -7,7 +7,7 @@ the recording's noise, and the draws of A go through the curve to δ.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,13 +25,15 @@ from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, CurveMeasurer, curves_group
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.joint_check import JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
+    JointCheck,
     Measurement,
     Reason,
     Task,
+    check_item,
+    joint_check,
     outcome_of,
     sampling_reasons,
 )
@@ -46,7 +48,7 @@ from bayesbl.recording.checks import moves
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.intervals import interval
 from bayesbl.results.store import read_tree
-from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
+from bayesbl.results.variables import Group, Variable, datasets, labels, table
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
@@ -194,19 +196,6 @@ MISFIT = Group(
     table("phase_rad (phase_rad) | rad | load phase from the start of the recording"),
 )
 
-GROUPS = (
-    POSTERIOR,
-    SAMPLE_STATS,
-    *OF_NOISE.values(),
-    *shared.OF_EVERY_ROUTE,
-    PREDICTIVE,
-    OPTIMUM,
-    SEARCH_HISTORY,
-    NOISE,
-    MISFIT,
-    CURVE,
-)
-
 
 class AmplitudeMeasurer(CurveMeasurer):
     """The amplitude route with its estimator and where its gap curves come from."""
@@ -244,15 +233,20 @@ class AmplitudeMeasurer(CurveMeasurer):
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
         by_curve: Sequence[Gap | None] = [None] * len(fits)
+        stored = {}
         if curves is not None:  # all through the same draws of the curve
-            by_curve = gaps(
+            level = task.config.interval.level
+            by_curve = read = gaps(
                 curves,
                 [measured_ringing(fit) for fit in fits],
                 task.seeds.gap,
                 [entry.known_gap for entry in task.config.recordings],
                 allow_extrapolation=task.config.curve.allow_extrapolation,
-                level=task.config.interval.level,
+                level=level,
             )
+            rows = [gap.rows for gap in read]
+            of_curve = curves_group(task.names, curves, rows, level, task.seeds.curve)
+            stored[CURVE.name] = of_curve
         entries = task.config.recordings
         check = same_joint(
             [fit.point for fit in fits],
@@ -264,7 +258,7 @@ class AmplitudeMeasurer(CurveMeasurer):
         return Measurement(
             NAME,
             [self._answer(*part, task) for part in parts],
-            shared=self._curve(curves, by_curve, task),
+            shared=stored,
             curve=curves[0].name if curves else "",
             warnings=curves[0].warnings if curves else (),
             ringing_change=_ringing_change(fits, by_curve, curves),
@@ -333,19 +327,6 @@ class AmplitudeMeasurer(CurveMeasurer):
             [*check["could_be"], *causes],
         )
         return compared, reasons
-
-    def _curve(
-        self, curves: Sequence[GapCurve] | None, gaps_by_curve: Sequence[Gap | None], task: Task
-    ) -> dict[str, xr.Dataset]:
-        """Group :data:`CURVE`: one for all recordings, or each its own."""
-        if curves is None:
-            return {}
-        rows = {
-            n: gap.rows for n, gap in zip(task.names, gaps_by_curve, strict=True) if gap is not None
-        }
-        named = dict(zip(task.names, curves, strict=True))
-        level = task.config.interval.level
-        return {CURVE.name: curves_group(named, rows, level, task.seeds.curve)}
 
     def _jobs(self, task: Task, curves: Sequence[GapCurve | None]) -> list[FitJob]:
         start_from = task.config.estimator.search.start_from
@@ -479,40 +460,44 @@ def amplitude_groups(
     fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float, seed: np.random.SeedSequence
 ) -> dict[str, xr.Dataset]:
     """All groups of one recording, without a ``snapshot`` dimension."""
-    index = _index(fit, gap)
-    draws = {name: v.ravel()[index] for name, v in fit.posterior.draws.items()}
-    baseline = fit.posterior.baseline_rpm.reshape(index.size, -1)[index]
-    rotations = fit.point.objective.duration_s / fit.point.optimum.symbols[ROTATION]
-    return {
-        "posterior": _posterior(fit, gap, draws, baseline),
-        "sample_stats": dataset(
-            SAMPLE_STATS,
-            {
-                "lp": fit.posterior.log_likelihood.ravel()[index],
-                "acceptance_rate": fit.posterior.diagnostics.acceptance,
-                "outside_curve": None if gap is None else gap.outside,
-            },
-        ),
-        **_noise_only(fit, curve, np.random.default_rng(seed)),
-        **shared.common_groups(
-            fit.point.recording,
-            [MOTOR_SPEED],
-            fit.posterior.diagnostics,
-            {} if gap is None else gap.budget,
-            rotations,
-        ),
-        "predictive": _predictive(fit, level),
-        "optimum": _optimum(fit),
-        "search_history": dataset(
-            SEARCH_HISTORY, attributes(SEARCH_HISTORY, fit.point.optimum.history)
-        ),
-        "noise": dataset(
-            NOISE,
-            attributes(NOISE, fit.point.noise)
-            | {"degrees_of_freedom": fit.point.noise.degrees_of_freedom or np.inf},
-        ),
-        "misfit": dataset(MISFIT, attributes(MISFIT, fit.point.misfit)),
-    }
+    index, point, posterior = _index(fit, gap), fit.point, fit.posterior
+    groups = datasets(
+        {
+            POSTERIOR: (
+                {name: values.ravel()[index] for name, values in posterior.draws.items()},
+                {
+                    "baseline_rpm": posterior.baseline_rpm.reshape(index.size, -1)[index],
+                    "baseline_term": _baseline_terms(fit),
+                },
+                gap,
+            ),
+            SAMPLE_STATS: (
+                {
+                    "lp": posterior.log_likelihood.ravel()[index],
+                    "acceptance_rate": posterior.diagnostics.acceptance,
+                },
+                gap,
+            ),
+            **_noise_only(fit, curve, np.random.default_rng(seed)),
+            **shared.common_groups(
+                point.recording,
+                [MOTOR_SPEED],
+                posterior.diagnostics,
+                {} if gap is None else gap.budget,
+                point.objective.duration_s / point.optimum.symbols[ROTATION],
+            ),
+            PREDICTIVE: _predictive(fit, level),
+            OPTIMUM: (point.optimum, _optimum(fit)),
+            SEARCH_HISTORY: point.optimum.history,
+            NOISE: (
+                point.noise,
+                {"degrees_of_freedom": point.noise.degrees_of_freedom or np.inf},
+            ),
+            MISFIT: point.misfit,
+        }
+    )
+    groups["optimum"].attrs["method"] = point.optimum.method
+    return groups
 
 
 def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
@@ -523,26 +508,13 @@ def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
     return np.arange(fit.posterior.log_likelihood.size).reshape(shape)
 
 
-def _posterior(
-    fit: Fit, gap: Gap | None, draws: Mapping[str, FloatArray], baseline: FloatArray
-) -> xr.Dataset:
-    through: dict[str, object] = {}
-    if gap is not None:
-        through = {**attributes(POSTERIOR, gap), "curve_amplitude_rpm": gap.amplitude_rpm}
-    return dataset(
-        POSTERIOR,
-        {**draws, "baseline_rpm": baseline, **through},
-        {**shared.numbered(baseline.shape), "baseline_term": _baseline_terms(fit)},
-    )
-
-
 def _baseline_terms(fit: Fit) -> list[str]:
     return [n for n in jacobian_columns(fit.point.optimum.model) if n not in SYMBOLS]
 
 
 def _noise_only(
     fit: Fit, curve: GapCurve | None, generator: np.random.Generator
-) -> dict[str, xr.Dataset]:
+) -> dict[Group, object]:
     """Waveform and noise alone as a model: prior, posterior, and what both predict.
 
     Flat in every searched symbol within its range, and in ln δ through the curve; flat in A
@@ -571,18 +543,13 @@ def _noise_only(
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.maximum(slope, 0.0) / (high - low)))
 
-    terms = fit.posterior.baseline_rpm.shape[-1]
     few = {name: values[: chains * shared.REPLICATES] for name, values in prior.items()}
-    flat = np.zeros((chains * shared.REPLICATES, terms))
+    flat = np.zeros((chains * shared.REPLICATES, fit.posterior.baseline_rpm.shape[-1]))
     speeds = {MOTOR_SPEED: predicted(point, few, flat, generator)}
     shown = prior if curve is None else {**prior, shared.DELTA.name: np.exp(log_gap)}
-    groups = {
-        "prior": dataset(
-            OF_NOISE["prior"],
-            {n: v[None] for n, v in shown.items()},
-            shared.numbered((1, shared.PRIOR_DRAWS)),
-        ),
-        shared.PRIOR_PREDICTIVE.name: shared.replicates(shared.PRIOR_PREDICTIVE, chains, speeds),
+    groups: dict[Group, object] = {
+        OF_NOISE["prior"]: {n: v[None] for n, v in shown.items()},
+        shared.PRIOR_PREDICTIVE: shared.replicates(chains, speeds),
     }
     named_draws = likelihood_draws(
         point, of_amplitude, shared.NOISE_DRAWS // chains * chains, generator
@@ -596,27 +563,16 @@ def _noise_only(
     shape = draws[AMPLITUDE].shape
     baseline = baseline.reshape(*shape, -1)
     density = {n: np.full(shape, -math.log(b - a)) for n, (a, b) in ranges.items()}
+    terms = {"baseline_rpm": baseline, "baseline_term": _baseline_terms(fit)}
     return groups | {
-        "noise_posterior": dataset(
-            OF_NOISE["noise_posterior"],
-            {**draws, "baseline_rpm": baseline},
-            {**shared.numbered(shape), "baseline_term": _baseline_terms(fit)},
-        ),
-        shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
-            log_likelihood(point, draws, baseline)
-        ),
-        "log_prior": dataset(
-            OF_NOISE["log_prior"],
-            {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])},
-            shared.numbered(shape),
-        ),
-        shared.POSTERIOR_PREDICTIVE.name: shared.replicates(
-            shared.POSTERIOR_PREDICTIVE, chains, speeds
-        ),
+        OF_NOISE["noise_posterior"]: {**draws, **terms},
+        shared.LOG_LIKELIHOOD: {"recording": log_likelihood(point, draws, baseline)},
+        OF_NOISE["log_prior"]: {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])},
+        shared.POSTERIOR_PREDICTIVE: shared.replicates(chains, speeds),
     }
 
 
-def _predictive(fit: Fit, level: float) -> xr.Dataset:
+def _predictive(fit: Fit, level: float) -> dict[str, FloatArray]:
     """Optimum, and the band in which a new recording of the same joint would lie.
 
     What repeats every rotation and the model lacks repeats there too: the band is around both.
@@ -629,15 +585,12 @@ def _predictive(fit: Fit, level: float) -> xr.Dataset:
     expected = model + repeating
     spread = np.sqrt(_prediction_variance(fit) + error**2 + point.noise.sd_rpm**2)
     half = normal_isf(0.5 - 0.5 * level) * spread
-    return dataset(
-        PREDICTIVE,
-        {
-            "model_rpm": model,
-            "residual_rpm": point.residual_rpm,
-            "low_rpm": expected - half,
-            "high_rpm": expected + half,
-        },
-    )
+    return {
+        "model_rpm": model,
+        "residual_rpm": point.residual_rpm,
+        "low_rpm": expected - half,
+        "high_rpm": expected + half,
+    }
 
 
 def _prediction_variance(fit: Fit) -> FloatArray:
@@ -658,26 +611,21 @@ def _prediction_variance(fit: Fit) -> FloatArray:
     return np.asarray(square / picked.size - (total / picked.size) ** 2)
 
 
-def _optimum(fit: Fit) -> xr.Dataset:
+def _optimum(fit: Fit) -> dict[str, object]:
     optimum, spread = fit.point.optimum, fit.point.spread
     rival_squares = np.array([rival.sum_of_squares for rival in optimum.rivals])
-    result = dataset(
-        OPTIMUM,
-        {
-            **attributes(OPTIMUM, optimum),
-            **optimum.symbols,
-            "search_seconds": optimum.seconds,
-            "covariance": spread.sandwich,
-            "impact_sd_rpm": spread.impact_sd_rpm,
-            "impact_loss": spread.losses,
-            "rival_amplitude_rpm": [r.symbols["amplitude_rpm"] for r in optimum.rivals],
-            "rival_rmse_rpm": np.sqrt(rival_squares / optimum.samples),
-            "start": fit.point.start,
-        },
-        {"parameter": list(spread.names), "parameter_": list(spread.names)},
-    )
-    result.attrs["method"] = optimum.method
-    return result
+    return {
+        **optimum.symbols,
+        "search_seconds": optimum.seconds,
+        "covariance": spread.sandwich,
+        "impact_sd_rpm": spread.impact_sd_rpm,
+        "impact_loss": spread.losses,
+        "rival_amplitude_rpm": [rival.symbols[AMPLITUDE] for rival in optimum.rivals],
+        "rival_rmse_rpm": np.sqrt(rival_squares / optimum.samples),
+        "start": fit.point.start,
+        "parameter": list(spread.names),
+        "parameter_": list(spread.names),
+    }
 
 
 # An earlier result, to start a search from.

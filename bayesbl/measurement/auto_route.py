@@ -41,11 +41,7 @@ class AutoMeasurer(Measurer):
         bench = bench_of(config)
         self.direct = DirectMeasurer(config, bench)
         self.amplitude = AmplitudeMeasurer(config, bench)
-
-    @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Gaps inside the direct route's prior."""
-        return self.direct.gap_range_rad
+        self.gap_range_rad = self.direct.gap_range_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The bench and the curve."""

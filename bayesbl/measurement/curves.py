@@ -47,7 +47,7 @@ from bayesbl.progress import Progress, of_stage
 from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.store import read_tree, texts
-from bayesbl.results.variables import Group, Variable, attributes, dataset, stack_snapshots, table
+from bayesbl.results.variables import Group, Variable, dataset, stack_snapshots, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
@@ -108,8 +108,9 @@ posterior, correction and sources linear in ln A between the knots, of each sour
 
 
 def curves_group(
-    curves: Mapping[str, GapCurve],
-    rows: Mapping[str, Mapping[str, NDArray[np.int64]]],
+    names: Sequence[str],
+    curves: Sequence[GapCurve],
+    rows: Sequence[Mapping[str, NDArray[np.int64]]],
     level: float,
     seed: np.random.SeedSequence,
 ) -> xr.Dataset:
@@ -118,18 +119,17 @@ def curves_group(
     Parameters
     ----------
     curves
-        By recording. Where they differ they are stacked over the range of all.
+        Of each recording. Where they differ they are stacked over the range of all.
     rows
-        By recording and source, which draw of the curve each draw of δ went through.
+        Of each recording by source, which draw of the curve each draw of δ went through.
     """
-    first = next(iter(curves.values()))
-    if all(curve is first for curve in curves.values()):
-        return curve_group(first, level, seed, next(iter(rows.values())))
-    ranges = np.array([curve.amplitude_range_rpm for curve in curves.values()])
+    if all(curve is curves[0] for curve in curves):
+        return curve_group(curves[0], level, seed, rows[0])
+    ranges = np.array([curve.amplitude_range_rpm for curve in curves])
     ends = (float(ranges.min()), float(ranges.max()))
     parts = {
-        name: {CURVE.name: curve_group(curve, level, seed, rows[name], ends)}
-        for name, curve in curves.items()
+        name: {CURVE.name: curve_group(curve, level, seed, own, ends)}
+        for name, curve, own in zip(names, curves, rows, strict=True)
     }
     return stack_snapshots(parts)[CURVE.name]
 
@@ -146,10 +146,9 @@ def curve_group(
     ``rows``: by source, which draw each draw of δ went through; ``None`` of a sweep, from which
     :func:`curve_from_dataset` gives the whole curve back.
     """
-    values, sources = attributes(CURVE, curve), curve.sources
-    if rows is None:
-        values |= attributes(CURVE, curve.ringing)
-    else:
+    values: dict[str, object] = {}
+    sources = curve.sources
+    if rows is not None:
         # As figures and checks need them: a sweep keeps all digits.
         sources = {name: draws.astype(np.float32) for name, draws in sources.items()}
         values |= {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
@@ -162,7 +161,8 @@ def curve_group(
     table = np.stack([draws.gap(np.full(BAND_DRAWS, a)) for a in amplitude])
     low, high = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
     values |= {"delta_rad": curve.gap(amplitude), "low_rad": low, "high_rad": high}
-    result = dataset(CURVE, values, {"amplitude": amplitude})
+    ringing = curve.ringing if rows is None else None
+    result = dataset(CURVE, curve, ringing, values, {"amplitude": amplitude})
     result.attrs = {
         "name": curve.name,
         "fingerprint": curve.fingerprint or "",
@@ -388,14 +388,10 @@ class CurveMeasurer(Measurer):
         if config.curve.source is not None:
             is_published = config.curve.source == PUBLISHED
             self.named = published_curve() if is_published else read_curve(config.curve.source)
+            self.gap_range_rad = self.named.gap_range_rad
+        elif bench is not None:
+            self.gap_range_rad = (SMALLEST_GAP_RAD, SweepSettings().high_rad)
         self.bench = bench if self.named is None else None
-
-    @property
-    def gap_range_rad(self) -> tuple[float, float] | None:
-        """Gaps that the curves reach; ``None`` without one."""
-        if self.named is not None:
-            return self.named.gap_range_rad
-        return None if self.bench is None else (SMALLEST_GAP_RAD, SweepSettings().high_rad)
 
     def describe_curve(self) -> str:
         """Which curve this is, or what gives one."""

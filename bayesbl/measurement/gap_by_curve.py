@@ -65,9 +65,9 @@ class Gap:
     index
         Which of the snapshot's posterior draws, flattened over (chain, draw), each draw of δ
         belongs to, shape (chain, draw): weighting moves all symbols, not δ alone.
-    outside
+    outside_curve
         −1, 0, +1 for draws of A below, inside, above the curve's range, shape (chain, draw).
-    amplitude_rpm
+    curve_amplitude_rpm
         What was put through the curve: A with its scatter over start angles, shape (chain, draw).
     rows
         By source of the curve's uncertainty, which of its draws, shape (chain, draw).
@@ -83,8 +83,8 @@ class Gap:
 
     delta_rad: FloatArray
     index: NDArray[np.int64]
-    outside: FloatArray
-    amplitude_rpm: FloatArray
+    outside_curve: FloatArray
+    curve_amplitude_rpm: FloatArray
     rows: Mapping[str, NDArray[np.int64]]
     curve_scale: FloatArray | None
     budget: dict[str, float]
@@ -94,7 +94,7 @@ class Gap:
     @property
     def upper_bound_rad(self) -> float | None:
         """The gap that δ is below with 95 %, where the curve does not reach down to it."""
-        if float(np.mean(self.outside < 0.0)) < LARGEST_SHARE_OUTSIDE:
+        if float(np.mean(self.outside_curve < 0.0)) < LARGEST_SHARE_OUTSIDE:
             return None
         return upper_bound(self.delta_rad)
 

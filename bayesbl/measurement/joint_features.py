@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.measurement.joint_check import CheckItem, check_item
+from bayesbl.measurement.measurement import CheckItem, check_item
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION

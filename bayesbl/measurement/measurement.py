@@ -10,14 +10,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, repeat
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import PUBLISHED, SnapshotRecording
-from bayesbl.measurement.joint_check import JointCheck, joint_check
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed, with_speed
 from bayesbl.recording.readers import read_recording
@@ -168,6 +167,65 @@ def outcome_of(reasons: Iterable[Reason]) -> Outcome:
     return [o for o, bring in OUTCOMES.items() if o == "converged" or codes & {*bring.split()}][-1]
 
 
+class CheckItem(TypedDict):
+    """A quantity as measured and as expected; ``z`` is their difference in standard deviations."""
+
+    quantity: str
+    measured: float
+    expected: float
+    unit: str
+    z: float
+
+
+class JointCheck(TypedDict):
+    """A snapshot against its bench, or snapshots against one another.
+
+    ``could_be`` names effects or parameters of the bench that would explain what was found.
+    ``blind_spots`` are changes of the joint that the check cannot detect. Each has
+    ``delta_error_rad``, by how much it would move δ, if that is known. If nothing was compared,
+    ``items`` is empty and ``agrees`` true.
+    """
+
+    agrees: bool
+    items: list[CheckItem]
+    could_be: list[str]
+    findings: list[dict[str, Any]]
+    blind_spots: list[dict[str, Any]]
+
+
+def check_item(quantity: str, measured: float, expected: float, unit: str, z: float) -> CheckItem:
+    """One quantity; ``unit`` of both values, empty for a pure number."""
+    return {
+        "quantity": quantity,
+        "measured": measured,
+        "expected": expected,
+        "unit": unit,
+        "z": z,
+    }
+
+
+def joint_check(
+    agrees: bool = True,
+    items: Iterable[CheckItem] = (),
+    could_be: Iterable[str] = (),
+    findings: Iterable[Mapping[str, Any]] = (),
+    blind_spots: Iterable[Mapping[str, Any]] = (),
+) -> JointCheck:
+    """What was compared, nothing by default; ``could_be`` names each cause once."""
+    return {
+        "agrees": agrees,
+        "items": list(items),
+        "could_be": list(dict.fromkeys(could_be)),
+        "findings": [dict(finding) for finding in findings],
+        "blind_spots": [dict(spot) for spot in blind_spots],
+    }
+
+
+def blind_spot(code: str, delta_error_rad: float | None = None, **values: object) -> dict[str, Any]:
+    """A change of the joint that a check cannot see, and what it would do to δ, where known."""
+    return {"code": code, **values, "delta_error_rad": delta_error_rad}
+
+
 NO_CURVE = Reason("no_curve")
 """There is no δ for want of a curve; the ringing alone is an answer."""
 
@@ -313,13 +371,11 @@ def upper_bound(delta_rad: FloatArray) -> float:
 class Measurer(ABC):
     """A route with what a configuration gives it; raises where it cannot use that."""
 
+    gap_range_rad: tuple[float, float] | None = None
+    """Gaps that can be measured; ``None`` where none can."""
+
     def __init__(self, config: SnapshotConfig) -> None:
         self.config = config
-
-    @property
-    @abstractmethod
-    def gap_range_rad(self) -> tuple[float, float] | None:
-        """Gaps that can be measured; ``None`` where none can."""
 
     @abstractmethod
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:

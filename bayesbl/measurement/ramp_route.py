@@ -24,14 +24,17 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.joint_check import JointCheck, blind_spot, check_item, joint_check
 from bayesbl.measurement.measurement import (
     UPPER_BOUND_LEVEL,
     Answer,
+    JointCheck,
     Measurement,
     Measurer,
     Reason,
     Task,
+    blind_spot,
+    check_item,
+    joint_check,
     outcome_of,
     sampler_of,
     sampling_reasons,
@@ -53,7 +56,7 @@ from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
-from bayesbl.results.variables import Group, attributes, columns, dataset, table
+from bayesbl.results.variables import Group, columns, datasets, table
 
 HELD = 4.0
 """Times ``held_windup_rad`` that ramps leave beyond the dead zone, at most.
@@ -177,10 +180,8 @@ FILE_STARTS = "file_starts"
 class RampMeasurer(Measurer):
     """The route of torque ramps."""
 
-    @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Nothing is swept or searched: from an encoder's step to a tooth's width."""
-        return 1e-6, 0.5
+    gap_range_rad = (1e-6, 0.5)
+    """Nothing is swept or searched: from an encoder's step to a tooth's width."""
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The ratio, as it decides the answer."""
@@ -646,14 +647,6 @@ LOOP = Group(
     """),
 )
 
-GROUPS = (
-    POSTERIOR,
-    SAMPLE_STATS,
-    *shared.OF_EVERY_ROUTE,
-    CYCLES,
-    LOOP,
-)
-
 
 def ramp_groups(
     recording: Recording,
@@ -668,56 +661,51 @@ def ramp_groups(
     ``draws``: of all of :data:`POSTERIOR`; ``stated_nm``: the torque of the lost motion.
     """
     lengths = [ramps.torque_nm.size for ramps in files]
-    return {
-        "posterior": dataset(POSTERIOR, draws, shared.numbered(play.log_density.shape)),
-        "sample_stats": dataset(
-            SAMPLE_STATS,
-            {"lp": play.log_density, "acceptance_rate": play.diagnostics.acceptance},
-        ),
-        **shared.common_groups(
-            recording,
-            (MOTOR_POSITION, MOTOR_TORQUE),
-            play.diagnostics,
-            _budget(flanks, draws["width_rad"], draws["delta_rad"]),
-            file=np.repeat(np.arange(len(lengths), dtype=float), lengths),
-        ),
-        "cycles": _cycles(files, flanks, stated_nm),
-        "loop": _loop(flanks),
-    }
-
-
-def _cycles(files: Sequence[Ramps], flanks: Flanks, stated_nm: float) -> xr.Dataset:
     used = [] if flanks.level is None else flanks.level.cycles
-    each = [(n, c) for n, file in enumerate(files) for c in file.cycles]
-    return dataset(
-        CYCLES,
+    each = [(n, cycle) for n, file in enumerate(files) for cycle in file.cycles]
+    counts = [any(cycle is other for other in used) for _, cycle in each]
+    return datasets(
         {
-            **columns(CYCLES, [cycle for _, cycle in each]),
-            **attributes(CYCLES, flanks),
-            "file": np.array([n for n, _ in each], dtype=float),
-            "used": np.array([any(c is other for other in used) for _, c in each], dtype=float),
-            "lost_motion_torque_nm": stated_nm,
-        },
+            POSTERIOR: draws,
+            SAMPLE_STATS: {
+                "lp": play.log_density,
+                "acceptance_rate": play.diagnostics.acceptance,
+            },
+            **shared.common_groups(
+                recording,
+                (MOTOR_POSITION, MOTOR_TORQUE),
+                play.diagnostics,
+                _budget(flanks, draws["width_rad"], draws["delta_rad"]),
+                file=np.repeat(np.arange(len(lengths), dtype=float), lengths),
+            ),
+            CYCLES: (
+                columns(CYCLES, [cycle for _, cycle in each]),
+                flanks,
+                {
+                    "file": np.array([n for n, _ in each], dtype=float),
+                    "used": np.array(counts, dtype=float),
+                    "lost_motion_torque_nm": stated_nm,
+                },
+            ),
+            LOOP: _loop(flanks),
+        }
     )
 
 
-def _loop(flanks: Flanks) -> xr.Dataset:
+def _loop(flanks: Flanks) -> dict[str, FloatArray]:
     level = flanks.level
     assert level is not None
     numbers = [float(n) for n, cycles in enumerate(level.files) if cycles]
     files = list(filter(None, level.files))
     torque, position = zip(*map(_path, files), strict=True)
     low, high = zip(*map(left_rad, files), strict=True)
-    return dataset(
-        LOOP,
-        {
-            "torque_nm": np.concatenate(torque),
-            "position_rad": np.concatenate(position),
-            "file": np.repeat(numbers, [part.size for part in torque]),
-            "left_low_rad": np.array(low),
-            "left_high_rad": np.array(high),
-        },
-    )
+    return {
+        "torque_nm": np.concatenate(torque),
+        "position_rad": np.concatenate(position),
+        "file": np.repeat(numbers, [part.size for part in torque]),
+        "left_low_rad": np.array(low),
+        "left_high_rad": np.array(high),
+    }
 
 
 def _path(cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,8 @@
 """Routes of measurement by name, and the one way to run them.
 
-A route is a module with ``GROUPS``, which it stores in a group of its own name, and ``prepare``,
-which gives its :class:`bayesbl.measurement.measurement.Measurer`; and its row in :data:`ROUTES`.
+A route is a module that declares the groups it stores in a group of its own name, and has
+``prepare``, which gives its :class:`bayesbl.measurement.measurement.Measurer`; and its row in
+:data:`ROUTES`.
 ``auto`` is of two routes, one of which answers: its results are that one's. Where the load's
 position is recorded, two encoders stand beside routes that go by the motor alone.
 """
@@ -23,7 +24,6 @@ from bayesbl.measurement.measurement import Measurer, Seeds, Task
 from bayesbl.measurement.stored import measurement_tree
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import LOAD_POSITION, Recording
-from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 ROUTES = {
@@ -34,12 +34,6 @@ ROUTES = {
     "two_encoders": "bayesbl.measurement.two_encoder_route",
 }
 """Name to the module, which is imported only where it is used."""
-
-
-def groups_of(route: str) -> tuple[Group, ...]:
-    """What the route of this name stores."""
-    groups: tuple[Group, ...] = import_module(ROUTES[route]).GROUPS
-    return groups
 
 
 def measurer_of(config: SnapshotConfig) -> Measurer:

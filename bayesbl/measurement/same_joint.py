@@ -15,13 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from bayesbl.measurement.joint_check import (
-    CheckItem,
-    JointCheck,
-    blind_spot,
-    check_item,
-    joint_check,
-)
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
     MEAN_CURRENT,
@@ -30,7 +23,14 @@ from bayesbl.measurement.joint_features import (
     features_of,
     harmonic_name,
 )
-from bayesbl.measurement.measurement import Reason
+from bayesbl.measurement.measurement import (
+    CheckItem,
+    JointCheck,
+    Reason,
+    blind_spot,
+    check_item,
+    joint_check,
+)
 from bayesbl.measurement.noise_colour import (
     FilterChange,
     NoiseSpectrum,

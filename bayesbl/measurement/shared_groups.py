@@ -18,7 +18,7 @@ import xarray as xr
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.results.intervals import Interval, interval
-from bayesbl.results.variables import Group, Variable, dataset, labels, table
+from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.units import unit_of
 
@@ -78,9 +78,6 @@ BUDGET = Group(
     (labels("source", "source of the uncertainty of δ"),),
 )
 
-OF_EVERY_ROUTE = (OBSERVED, CONSTANT, DIAGNOSTICS, BUDGET)
-"""Groups that every route stores of a recording, by :func:`common_groups`."""
-
 (RECORDING,) = table("""
     recording (chain, draw, rotation) | 1 | log density of one load rotation, all channels, by the
         noise alone
@@ -130,21 +127,12 @@ def of_noise_alone(
     return {group.name: group for group in groups}
 
 
-def log_likelihood_group(by_rotation: FloatArray) -> xr.Dataset:
-    """From shape (chain, draw, rotation)."""
-    rotation = {"rotation": np.arange(by_rotation.shape[-1])}
-    return dataset(
-        LOG_LIKELIHOOD, {"recording": by_rotation}, {**numbered(by_rotation.shape), **rotation}
-    )
-
-
-def replicates(group: Group, chains: int, channels: Mapping[str, FloatArray]) -> xr.Dataset:
-    """Predicted recordings, each channel of shape (m, n), m a multiple of ``chains``."""
-    values = {
+def replicates(chains: int, channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Predicted recordings by chain; each channel has shape (m, n), m a multiple of ``chains``."""
+    return {
         name: rows.reshape(chains, -1, rows.shape[-1]).astype(np.float32)
         for name, rows in channels.items()
     }
-    return dataset(group, values, numbered(next(iter(values.values())).shape))
 
 
 GAP = Group("gap", (DELTA,), (CHAIN, DRAW))
@@ -175,8 +163,8 @@ def common_groups(
     *,
     file: FloatArray | None = None,
     **simulated: float,
-) -> dict[str, xr.Dataset]:
-    """Groups :data:`OF_EVERY_ROUTE` of one recording, without a ``snapshot`` dimension.
+) -> dict[Group, object]:
+    """Sources of the groups that every route stores of a recording, without ``snapshot``.
 
     Parameters
     ----------
@@ -207,13 +195,14 @@ def common_groups(
         "autocorrelation_steps": diagnostics.autocorrelation_steps,
         "steps": diagnostics.steps,
         "rotations": rotations,
+        "symbol": list(diagnostics.r_hat),
         **simulated,
     }
     return {
-        OBSERVED.name: dataset(OBSERVED, {name: recording.channels[name] for name in names}),
-        CONSTANT.name: dataset(CONSTANT, constant),
-        DIAGNOSTICS.name: dataset(DIAGNOSTICS, sampled, {"symbol": list(diagnostics.r_hat)}),
-        BUDGET.name: dataset(BUDGET, {"share": list(budget.values())}, {"source": list(budget)}),
+        OBSERVED: {name: recording.channels[name] for name in names},
+        CONSTANT: constant,
+        DIAGNOSTICS: sampled,
+        BUDGET: {"share": list(budget.values()), "source": list(budget)},
     }
 
 
@@ -236,11 +225,6 @@ def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
         "budget": dict(zip(*(budget[n].values.tolist() for n in ("source", "share")), strict=True)),
         "diagnostics": diagnostics,
     }
-
-
-def numbered(shape: tuple[int, ...]) -> dict[str, object]:
-    """Coordinates ``chain`` and ``draw`` of draws of shape (chain, draw)."""
-    return {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
 
 
 def intervals(

@@ -6,8 +6,7 @@ draws that answer at its root, and the whole summary as the attribute ``summary`
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -18,13 +17,13 @@ import xarray as xr
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.measurement.compatibility import limit_rad_of, windup_rad_of
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
-from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers, numbered
+from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers
 from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.store import json_text, origin
-from bayesbl.results.variables import STACKED, dataset, stack_snapshots
+from bayesbl.results.store import json_text, summary_of
+from bayesbl.results.variables import STACKED, dataset, datasets, stack_snapshots
 
 
 def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
@@ -37,9 +36,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         groups |= {f"{one.route}/{name}": data for name, data in {**stacked, **one.shared}.items()}
     drawn = {a.name: a.delta_rad for a in measured.answers if a.delta_rad is not None}
     if drawn:
-        gaps = {
-            n: {"gap": dataset(GAP, {"delta_rad": d}, numbered(d.shape))} for n, d in drawn.items()
-        }
+        gaps = {name: datasets({GAP: {"delta_rad": draws}}) for name, draws in drawn.items()}
         groups |= _stacked(gaps, config)
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):
@@ -69,12 +66,9 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         tree.attrs["limit_rad"] = limit_rad
     if config.joint.limit is not None:
         tree.attrs["limit"] = str(config.joint.limit)
+    tree.attrs["warnings"] = list(measured.warnings)
     summary = {
-        "kind": config.kind,
-        "outcome": measured.outcome,
         "reason": _reason_of_all(measured),
-        "warnings": list(measured.warnings),
-        **origin(tree),
         "curve": next((one.curve for one in routes if one.curve), None),
         "answer": {"route": measured.route, **measured.why.stored},
     }
@@ -267,23 +261,27 @@ class Snapshot:
 
     Attributes
     ----------
-    groups
-        Of the route, as of :func:`groups_of_snapshot`, made when they are asked for.
+    route
+        With the groups of all recordings.
     summary
         Its part of the summary; sentences are not in it.
     """
 
     name: str
-    groups: Mapping[str, xr.Dataset]
+    route: xr.DataTree
     summary: Mapping[str, Any]
+
+    def group(self, name: str) -> xr.Dataset:
+        """A group of the route, as of :func:`of_snapshot`."""
+        return of_snapshot(self.route.children[name], self.name)
 
     def number(self, group: str, variable: str) -> float:
         """A stored scalar."""
-        return float(self.groups[group][variable])
+        return float(self.group(group)[variable])
 
     def values(self, group: str, variable: str) -> FloatArray:
         """A stored variable, any shape."""
-        return np.asarray(self.groups[group][variable].values, dtype=float)
+        return np.asarray(self.group(group)[variable].values, dtype=float)
 
     @property
     def time_s(self) -> FloatArray:
@@ -292,9 +290,8 @@ class Snapshot:
 
     def channel(self, name: str) -> FloatArray:
         """A channel of the recording, whether the route went by it or not, shape (n,)."""
-        return self.values(
-            "observed_data" if name in self.groups["observed_data"] else "constant_data", name
-        )
+        went_by = name in self.group("observed_data")
+        return self.values("observed_data" if went_by else "constant_data", name)
 
     @property
     def withheld(self) -> bool:
@@ -307,45 +304,19 @@ def routes_of(tree: xr.DataTree) -> list[str]:
     return [str(name) for name in np.atleast_1d(tree.attrs.get("routes", []))]
 
 
-def summary_of(tree: xr.DataTree) -> Any:
-    """The summary as it is stored, without sentences."""
-    return json.loads(tree.attrs["summary"])
-
-
 def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot]:
     """What a route says of every recording of a result, in order; that which answers by default."""
     summary = summary_of(tree)
     route = route or tree.attrs["route"]
     names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
     return [
-        Snapshot(name, _Groups(tree.children[route], name), part["routes"][route])
+        Snapshot(name, tree.children[route], part["routes"][route])
         for name, part in zip(names, summary.get("snapshots", [summary]), strict=True)
     ]
 
 
-class _Groups(Mapping[str, xr.Dataset]):
-    def __init__(self, route: xr.DataTree, name: str) -> None:
-        self._route, self._name = route, name
-        self._read: dict[str, xr.Dataset] = {}
-
-    def __getitem__(self, group: str) -> xr.Dataset:
-        if group not in self._read:
-            self._read[group] = _of_snapshot(self._route.children[group], self._name)
-        return self._read[group]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._route.children)
-
-    def __len__(self) -> int:
-        return len(self._route.children)
-
-
-def groups_of_snapshot(route: xr.DataTree, name: str) -> dict[str, xr.Dataset]:
-    """Groups of one recording, without the dimension ``snapshot`` and others' greater lengths."""
-    return {group: _of_snapshot(node, name) for group, node in route.children.items()}
-
-
-def _of_snapshot(group: xr.DataTree, name: str) -> xr.Dataset:
+def of_snapshot(group: xr.DataTree, name: str) -> xr.Dataset:
+    """Of one recording, without the dimension ``snapshot`` and others' greater lengths."""
     data = group.to_dataset()
     if STACKED in data.dims:
         data = data.sel({STACKED: name}, drop=True)

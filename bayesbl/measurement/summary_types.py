@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NotRequired, TypedDict
 
-from bayesbl.measurement.joint_check import JointCheck
+from bayesbl.measurement.measurement import JointCheck
 from bayesbl.results.intervals import Interval
 from bayesbl.results.store import Origin
 from bayesbl.sampling.convergence import Outcome
@@ -163,18 +163,8 @@ class RouteSummary(_OfSomeRoutes):
     ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
     gap.
 
-    Ringing: ``relative_rmse`` is RMSE over the standard deviation of the speed; ``impact_sd_rpm``
-    is how far the amplitudes of the impacts differ, beyond noise.
-
-    Torque ramps: ``lost_motion_rad`` is the angle between the torques ±``lost_motion_torque_nm``.
-    ``preloaded``: no play is seen. ``preload_torque_nm`` is the torque at which one flank lifts: 0
-    with play, ``None`` if this was not observed. ``held_windup_rad``: the part of δ that is
-    compliance held by friction at zero torque. ``stiffness_nm_per_rad``: of a straight line through
-    the largest ramps, as test reports state it.
-
-    Two encoders: ``play_rad`` is 2δ. ``lost_motion_rad`` is the angle between the two directions:
-    play plus wind-up by the load's friction. ``windup_rad_per_nm`` is the compliance at the output,
-    if a torque shows it. ``channel_skew_s`` is how late the load's stamps are.
+    Keys that are also variables of ``result.nc`` are explained there; of draws they are intervals,
+    ``None`` where a variable is NaN. ``preloaded``: ramps of torque show no play.
     """
 
     route: str

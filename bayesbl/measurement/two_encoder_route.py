@@ -35,7 +35,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.intervals import interval
-from bayesbl.results.variables import Group, attributes, dataset, table
+from bayesbl.results.variables import Group, datasets, table
 from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission, hidden_rad
@@ -87,7 +87,6 @@ POSTERIOR = Group(
             gear_ratio (chain, draw) | 1 | motor over load, with its sign
             channel_skew_s (chain, draw) | s | how late the load's stamps are
             transmission_error_rad (chain, draw) | rad | peak to peak, over the travel
-            harmonic_rad (harmonic, chain, draw) | rad | amplitude of a transmission error's order
         """),
     ),
     (shared.CHAIN, shared.DRAW),
@@ -101,8 +100,6 @@ TRANSMISSION = Group(
         lag_rad (point) | rad | motor minus load, less everything but the play
         model_rad (point) | rad | the same by the model
         curve_rad (point) | rad | transmission error
-        harmonic_order (harmonic) | 1 | order of a transmission error
-        harmonic_of_load (harmonic) | 1 | whether it is per turn of the load (1) or the motor (0)
         probability_of_play | 1 | probability that δ is not zero
         counted | 1 | how many times a misfit that repeats every cycle counts
         reversals | 1 | reversals of the motor
@@ -111,8 +108,6 @@ TRANSMISSION = Group(
         drift_s | s | correlation time of that noise
     """),
 )
-
-GROUPS = (POSTERIOR, *shared.OF_EVERY_ROUTE, TRANSMISSION)
 
 QUANTITIES = (
     "play_rad",
@@ -131,10 +126,7 @@ OF_PLAY = ("play_rad", "lost_motion_rad", "held_windup_rad")
 class TwoEncoderMeasurer(Measurer):
     """The route of two encoders."""
 
-    @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Of the prior."""
-        return PLAY_RAD
+    gap_range_rad = PLAY_RAD
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The ratio, where it is stated."""
@@ -344,30 +336,21 @@ def groups_of(
     of_torque = MOTOR_TORQUE in recording.channels and not at_output
     compliance = draws.pop("compliance_rad_per_nm", np.full(shape, np.nan))
     draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
-    amplitudes = list(transmission.harmonics.values())
-    draws["harmonic_rad"] = np.stack(amplitudes) if amplitudes else np.empty((0, *shape))
-    noise = transmission.noise
-    return {
-        "posterior": dataset(POSTERIOR, draws, shared.numbered(shape)),
-        **shared.common_groups(recording, CHANNELS, _sampled(transmission), _budget(transmission)),
-        "transmission": dataset(
-            TRANSMISSION,
-            {
-                **attributes(TRANSMISSION, transmission),
-                "forward": (transmission.paths.binned(transmission.paths.speed) > 0.0).astype(
-                    float
-                ),
-                "model_rad": transmission.modelled_rad,
-                "harmonic_order": np.array([float(n) for _, n in transmission.harmonics]),
-                "harmonic_of_load": np.array(
-                    [float(s == "load") for s, _ in transmission.harmonics]
-                ),
-                "noise_sd_rad": noise.white_rad,
-                "drift_sd_rad": noise.drift_rad,
-                "drift_s": noise.drift_s,
-            },
-        ),
+    noise, paths = transmission.noise, transmission.paths
+    own = {
+        "forward": (paths.binned(paths.speed) > 0.0).astype(float),
+        "model_rad": transmission.modelled_rad,
+        "noise_sd_rad": noise.white_rad,
+        "drift_sd_rad": noise.drift_rad,
     }
+    sampled, budget = _sampled(transmission), _budget(transmission)
+    return datasets(
+        {
+            POSTERIOR: draws,
+            **shared.common_groups(recording, CHANNELS, sampled, budget),
+            TRANSMISSION: (noise, transmission, own),
+        }
+    )
 
 
 def _sampled(transmission: Transmission) -> Diagnostics:

@@ -44,7 +44,7 @@ from bayesbl.measurement.measurement import Answer, Reason
 from bayesbl.measurement.summary_types import WearSummary
 from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import Interval, interval
+from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 
 HAZARD = 1.5
@@ -526,11 +526,6 @@ def _growth_needed(
     return np.where(jumps < _SMOOTH, shape * jump, ahead) * (distance > 0.0)
 
 
-def probability_before(years_to_limit: FloatArray, years: float) -> float:
-    """Probability that the limit is reached within ``years`` of the last snapshot."""
-    return float(np.mean(years_to_limit <= years))
-
-
 DAYS_PER_YEAR = 365.25
 
 
@@ -611,6 +606,87 @@ def used_dates(group: xr.Dataset) -> list[Date]:
     return [Date.fromisoformat(str(day)) for day, used in stored if used]
 
 
+@dataclass(frozen=True, slots=True)
+class WearDraws:
+    """How a joint wears: paired draws, shape (draw,).
+
+    Attributes
+    ----------
+    rate_rad_per_year
+        Mean from the first snapshot in use to the last.
+    kind
+        Of the law at the last snapshot, its number in :data:`KINDS`.
+    jump_rad
+        Mean jump of irregular wear: variance of the growth over its mean.
+    years_to_limit
+        ``None`` without a limit.
+    probability_wear
+        That the gap grows at all, by lines of either sign.
+    """
+
+    rate_rad_per_year: FloatArray
+    kind: NDArray[np.int_]
+    jump_rad: FloatArray
+    rate_now_rad_per_year: FloatArray
+    years_to_limit: FloatArray | None = None
+    probability_wear: float = 1.0
+
+    @classmethod
+    def of(cls, group: xr.Dataset) -> WearDraws | None:
+        """From group :data:`WEAR`; ``None`` where it has dates and no rate."""
+        if "law" not in group:
+            return None
+        dates = used_dates(group)
+        span = years_between(dates[0], dates[-1])
+        rows = {str(name): group[name].values.ravel() for name in group.data_vars}
+        return cls(
+            (rows["current_rad"] - rows["first_rad"]) / span,
+            rows["law"].astype(int),
+            rows["scatter_rad_per_root_year"] ** 2 * span / rows["expected_growth_rad"],
+            rows["rate_now_rad_per_year"],
+            rows.get("years_to_limit"),
+            float(np.mean(rows["trend_rad_per_year"] > 0.0)),
+        )
+
+    def at(self, draws: NDArray[np.int_]) -> WearDraws:
+        """Some of the draws, by their numbers."""
+        return WearDraws(
+            self.rate_rad_per_year[draws],
+            self.kind[draws],
+            self.jump_rad[draws],
+            self.rate_now_rad_per_year[draws],
+            None if self.years_to_limit is None else self.years_to_limit[draws],
+            self.probability_wear,
+        )
+
+    def summary(self, last: Date, of: IntervalConfig, before: Date | None) -> dict[str, Any]:
+        """Keys of :class:`WearSummary` that follow from the draws.
+
+        ``last``: date of the last snapshot; ``before``: that to decide before.
+        """
+        level, kind = of.level, of.kind
+        result: dict[str, Any] = {
+            "probability_wear": self.probability_wear,
+            "law": shares(self.kind),
+            "rate": {**interval(self.rate_rad_per_year, level, kind), "unit": "rad/year"},
+            "rate_now": {**interval(self.rate_now_rad_per_year, level, kind), "unit": "rad/year"},
+            "rate_at_most_rad_per_year": float(np.quantile(self.rate_rad_per_year, level)),
+        }
+        if (years := self.years_to_limit) is not None:
+            bounds = interval(years, level, kind)
+            ends = {key: _iso(last, bounds[key]) for key in ("median", "low", "high")}
+            earliest = _iso(last, float(np.quantile(years, 1.0 - level)))
+            result |= {
+                "years_to_limit": bounds,
+                "date_of_limit": {**bounds, **ends},
+                "not_before": {"date": earliest, "level": level},
+            }
+            if before is not None:
+                passed = float(np.mean(years <= years_between(last, before)))
+                result["probability_before"] = {"date": before.isoformat(), "probability": passed}
+        return result
+
+
 def summarise_wear(
     group: xr.Dataset,
     names: Sequence[str],
@@ -619,7 +695,6 @@ def summarise_wear(
     stated_limit: str | None = None,
 ) -> dict[str, Any]:
     """``wear`` of the summary of a comparison (see the module), but for its ``reason``."""
-    level, kind = of.level, of.kind
     before = group.attrs.get("decide_before")
     dates = used_dates(group)
     result: dict[str, Any] = dict.fromkeys(WearSummary.__annotations__)
@@ -627,49 +702,26 @@ def summarise_wear(
         "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
         "first_date": dates[0].isoformat(),
         "last_date": dates[-1].isoformat(),
-        "level": level,
+        "level": of.level,
         "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
         "drift_widens": group.attrs.get("drift_widens"),
         "limit_rad": limit_rad,
         "limit": stated_limit,
         "decide_before": before,
     }
-    if "law" not in group:
+    draws = WearDraws.of(group)
+    if draws is None:
         return result
-    grown = group["current_rad"].values - group["first_rad"].values
-    rate = grown / years_between(dates[0], dates[-1])
-    result |= {
-        "probability_wear": float(np.mean(group["trend_rad_per_year"].values > 0.0)),
-        "law": shares(group["law"].values),
-        "rate": _rate(interval(rate, level, kind)),
-        "rate_now": _rate(interval(group["rate_now_rad_per_year"].values, level, kind)),
-        "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
-    }
+    result |= draws.summary(dates[-1], of, None if before is None else Date.fromisoformat(before))
     if len(dates) >= FEWEST_FOR_SCATTER:
         scatter = group["scatter_rad_per_root_year"].values
-        result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
-    if "years_to_limit" in group:
-        years = group["years_to_limit"].values
-        bounds = interval(years, level, kind)
-        result["years_to_limit"] = bounds
-        ends: dict[str, Any] = {k: _iso(dates[-1], bounds[k]) for k in ("median", "low", "high")}
-        result["date_of_limit"] = {**bounds, **ends}
-        earliest = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
-        result["not_before"] = {"date": earliest, "level": level}
-        if "width_over_prior" in group.attrs:
-            result["forecast_from_prior"] = {
-                "width_over_prior": float(group.attrs["width_over_prior"]),
-                "probability_change_ahead": float(group["changes_ahead"].mean()),
-            }
-        if before is not None:
-            ahead = years_between(dates[-1], Date.fromisoformat(before))
-            passed = probability_before(years, ahead)
-            result["probability_before"] = {"date": before, "probability": passed}
+        result["scatter_rad_per_root_year"] = interval(scatter, of.level, of.kind)
+    if "width_over_prior" in group.attrs:
+        result["forecast_from_prior"] = {
+            "width_over_prior": float(group.attrs["width_over_prior"]),
+            "probability_change_ahead": float(group["changes_ahead"].mean()),
+        }
     return result
-
-
-def _rate(interval: Interval) -> Interval:
-    return {**interval, "unit": "rad/year"}
 
 
 def _iso(first: Date, years: float) -> str | None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesbl import __version__
 from bayesbl.presentation import answer
 from bayesbl.presentation.blocks import (
     Block,
@@ -33,6 +35,12 @@ if TYPE_CHECKING:
     from bayesbl.presentation.blocks import Tone
     from bayesbl.recording.guessing import Guess
     from bayesbl.runs.kinds import Summary
+
+
+def all_bibtex() -> str:
+    """The works behind every result; ``annote`` says what each did for it."""
+    stored = files("bayesbl.presentation") / "citations.bib"
+    return stored.read_text(encoding="utf-8").strip().replace("VERSION", __version__)
 
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:

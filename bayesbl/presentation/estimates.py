@@ -148,15 +148,12 @@ def _box_search(part: RouteSummary) -> str:
 
 def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
     """Other local optima of one snapshot, as amplitude and RMSE."""
-    optimum = tree.children[part["route"]].children["optimum"].to_dataset()
-    if name:
-        optimum = optimum.sel(snapshot=name)
+    from bayesbl.measurement.stored import of_snapshot
+
+    optimum = of_snapshot(tree.children[part["route"]].children["optimum"], name)
     amplitudes, errors = optimum["rival_amplitude_rpm"].values, optimum["rival_rmse_rpm"].values
-    return [
-        f"A = {a:.1f} rpm at RMSE {e:.3f} rpm"
-        for a, e in zip(amplitudes, errors, strict=True)
-        if a == a  # padding of snapshots with fewer rivals is NaN
-    ]
+    rivals = zip(amplitudes, errors, strict=True)
+    return [f"A = {a:.1f} rpm at RMSE {e:.3f} rpm" for a, e in rivals]
 
 
 def _of_simulation(part: RouteSummary) -> Iterator[Block]:

@@ -203,13 +203,14 @@ class RouteResult:
         """The same of one recording of a comparison, without the padding of shorter ones."""
         import xarray
 
-        from bayesbl.measurement.stored import groups_of_snapshot
+        from bayesbl.measurement.stored import of_snapshot
 
         recorded = self._tree["observed_data"].to_dataset()
         known = recorded["snapshot"].values.tolist() if "snapshot" in recorded.dims else [name]
         if name not in known:
             raise ResultError("There is no such snapshot.", found=name, expected=", ".join(known))
-        return RouteResult(xarray.DataTree.from_dict(groups_of_snapshot(self._tree, name)))
+        groups = {group: of_snapshot(node, name) for group, node in self._tree.children.items()}
+        return RouteResult(xarray.DataTree.from_dict(groups))
 
     def __getattr__(self, name: str) -> xr.Dataset:
         if name.startswith("_") or name not in self._tree.children:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
 import shlex
 from collections.abc import Iterable, Mapping
@@ -51,7 +52,7 @@ def _seal_of(file: BinaryIO, size: int) -> bytes:
     return _MARK + digest.hexdigest().encode() + b"\n"
 
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 OUTCOME = "outcome"
 """Root attribute that tells how a run ended; absent or :data:`RUNNING` while it has not."""
@@ -264,20 +265,18 @@ class Head(Origin):
     warnings: list[str]
 
 
-def origin(tree: xr.DataTree) -> Origin:
-    """Where a result comes from, by its attributes."""
-    return {
-        "version": tree.attrs.get("bayesbl_version"),
-        "commit": tree.attrs.get("git_commit"),
-        "seed": tree.attrs.get("seed"),
-    }
+def summary_of(tree: xr.DataTree) -> Any:
+    """``summary.json`` without sentences: its head by the attributes of a result, and the rest.
 
-
-def head(tree: xr.DataTree) -> Head:
-    """The keys that every summary begins with, from the attributes of a stored result."""
+    The rest is the attribute ``summary``, JSON of what is said of this kind of result alone.
+    """
     return {
+        "kind": tree.attrs["kind"],
         "outcome": tree.attrs["outcome"],
         "reason": tree.attrs.get("reason") or None,
         "warnings": texts(tree.attrs.get("warnings")),
-        **origin(tree),
+        "version": tree.attrs.get("bayesbl_version"),
+        "commit": tree.attrs.get("git_commit"),
+        "seed": tree.attrs.get("seed"),
+        **json.loads(tree.attrs["summary"]),
     }

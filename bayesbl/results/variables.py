@@ -106,30 +106,31 @@ def labels(name: str, meaning: str) -> Variable:
     return Variable(name, (name,), "text", meaning)
 
 
-def attributes(group: Group, source: object) -> dict[str, object]:
-    """Values for :func:`dataset` from an object's attributes that have the names declared."""
-    names = [declared.name for declared in (*group.variables, *group.coordinates)]
-    return {name: getattr(source, name) for name in names if hasattr(source, name)}
-
-
 def columns(group: Group, sources: Sequence[object]) -> dict[str, object]:
-    """The same of several objects, a value each, NaN for ``None``."""
-    names = attributes(group, sources[0]) if sources else ()
+    """Values for :func:`dataset` from several objects, a value each, NaN for ``None``."""
+    names = _attributes(group, sources[0]) if sources else ()
     values = {name: [getattr(source, name) for source in sources] for name in names}
     return {n: [np.nan if one is None else one for one in column] for n, column in values.items()}
 
 
-def dataset(
-    group: Group,
-    values: Mapping[str, object],
-    coordinates: Mapping[str, object] | None = None,
-) -> xr.Dataset:
+def datasets(groups: Mapping[Group, object]) -> dict[str, xr.Dataset]:
+    """Groups by name, each from its source, or from several in a tuple, as :func:`dataset`."""
+    return {
+        group.name: dataset(group, *(source if isinstance(source, tuple) else (source,)))
+        for group, source in groups.items()
+    }
+
+
+def dataset(group: Group, *sources: object) -> xr.Dataset:
     """Plain arrays as a group, dimensions, units and long names as declared.
+
+    Coordinates of numbers that no source has count from 0.
 
     Parameters
     ----------
-    values, coordinates
-        Array, number or text by name; ``None`` leaves an optional one out.
+    sources
+        Mappings from name to array, number or text, where ``None`` leaves an optional one out; and
+        objects, of which attributes with declared names are taken; or ``None``. Later ones prevail.
 
     Raises
     ------
@@ -138,8 +139,16 @@ def dataset(
     ValueError
         If an array has another number of dimensions than its declaration.
     """
-    every = {**values, **(coordinates or {})}
+    every: dict[str, object] = {}
+    for source in sources:
+        if source is not None:
+            every |= source if isinstance(source, Mapping) else _attributes(group, source)
     stored = {n: _stored(group, n, value) for n, value in every.items() if value is not None}
+    sizes = {dim: size for variable in stored.values() for dim, size in variable.sizes.items()}
+    for declared in group.coordinates:
+        if declared.name in sizes and declared.name not in stored and declared.unit != "text":
+            count = np.arange(sizes[declared.name])
+            stored[declared.name] = _stored(group, declared.name, count)
     for declared in (*group.variables, *group.coordinates):
         if not (declared.optional or declared.name in stored):
             raise KeyError(f"group {group.name} is given no {declared.name}")
@@ -148,6 +157,12 @@ def dataset(
         {name: variable for name, variable in stored.items() if name not in labelled},
         {name: variable for name, variable in stored.items() if name in labelled},
     )
+
+
+def _attributes(group: Group, source: object) -> dict[str, object]:
+    """Those of an object that have names declared."""
+    names = [declared.name for declared in (*group.variables, *group.coordinates)]
+    return {name: getattr(source, name) for name in names if hasattr(source, name)}
 
 
 def _stored(group: Group, name: str, value: object) -> xr.Variable:

@@ -22,7 +22,6 @@ from bayesbl.config.loading import config_from_options
 from bayesbl.diagnosis.closed_loop import diagnosis as closed_loop
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
-from bayesbl.diagnosis.groups import summarise_diagnosis as summarise
 from bayesbl.diagnosis.rigid import free_motion, inverse, speed_loop
 from bayesbl.diagnosis.task import INERTIAS, Comparison, Task
 from bayesbl.errors import RecordingError
@@ -42,8 +41,6 @@ from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
-
-__all__ = ["describe", "make", "summarise", "task_of"]
 
 FEWEST_SAMPLES = 200
 

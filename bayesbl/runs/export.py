@@ -15,6 +15,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.mjcf import mjcf
 from bayesbl.bench.parameters import BENCH_PARAMETERS, simulated_range
 from bayesbl.errors import ResultError
+from bayesbl.measurement.stored import stored_answers
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import require_inside
 from bayesbl.results.identified import bench_from, require_gap
@@ -23,7 +24,6 @@ from bayesbl.runs.simulate import refuse_existing, write_all
 
 GAP = Slot.gap_rad.name
 DRIFT = "drift__"
-GAP_GROUP = "gap"
 
 
 def export(
@@ -58,7 +58,9 @@ def export(
     """
     tree, own = read_result(result), bench_from(bench)
     require_gap(own, bench)
-    if GAP_GROUP not in tree.children:
+    measured = stored_answers(tree) if "route" in tree.attrs else []
+    reported = [snapshot for snapshot in measured if not snapshot.withheld]
+    if not reported:
         raise ResultError(
             "This result reports no gap.",
             file=result,
@@ -76,25 +78,20 @@ def export(
     beside = (result if result.is_dir() else result.parent).absolute()
     home = Path(folder or beside.with_name(f"{beside.name}_export"))
     targets, contents = [], []
-    gap = tree[GAP_GROUP].to_dataset()
-    reported = gap["snapshot"].values if "snapshot" in gap.dims else tree.attrs["recordings"]
-    for name in map(str, np.atleast_1d(reported)):
-        draws = _draws(tree, own, name)
+    for snapshot in reported:
+        draws = _draws(snapshot.group("posterior"), own)
         medians = {slot: float(np.median(values)) for slot, values in draws.items()}
-        gap_rad = medians.pop(GAP)
-        if np.isfinite(gap_rad):
-            targets += [require_inside(home, f"{name}.{kind}") for kind in ("xml", "csv")]
-            contents += [mjcf(own, gap_rad, medians), _table(draws)]
+        targets += [require_inside(home, f"{snapshot.name}.{kind}") for kind in ("xml", "csv")]
+        contents += [mjcf(own, medians.pop(GAP), medians), _table(draws)]
     refuse_existing(targets, force)
     home.mkdir(parents=True, exist_ok=True)
     write_all(targets, contents)
     return targets
 
 
-def _draws(tree: xr.DataTree, bench: Bench, name: str) -> dict[str, FloatArray]:
+def _draws(posterior: xr.Dataset, bench: Bench) -> dict[str, FloatArray]:
     """By slot, of one snapshot, shape (draw,)."""
-    gap = _of_snapshot(tree[GAP_GROUP].to_dataset(), name)["delta_rad"].values.ravel()
-    posterior = _of_snapshot(tree[f"{tree.attrs['route']}/posterior"].to_dataset(), name)
+    gap = posterior["delta_rad"].values.ravel()
     slots = [info.name for info in BENCH_PARAMETERS]
     for effect in (effect_named(present.name) for present in bench.effects):
         slots += [slot.name for slot in effect.slots.values()]
@@ -110,10 +107,6 @@ def _draws(tree: xr.DataTree, bench: Bench, name: str) -> dict[str, FloatArray]:
             values = np.clip(values + np.nan_to_num(drift), *simulated_range(slot))
         draws[slot] = values
     return draws
-
-
-def _of_snapshot(data: xr.Dataset, name: str) -> xr.Dataset:
-    return data.sel(snapshot=name) if "snapshot" in data.dims else data
 
 
 def _table(draws: dict[str, FloatArray]) -> str:

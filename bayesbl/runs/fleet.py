@@ -293,7 +293,7 @@ def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
         "delta_rad": (("recording", "draw"), answer.gap_rad),
     }
     for name in ("rate_rad_per_year", "rate_now_rad_per_year", "years_to_limit"):
-        values = getattr(answer, name)
+        values = getattr(answer.wear, name, None)
         if values is not None:
             arrays[name] = (("wear_draw",), values)
     draws.put(job.joint.name, arrays, {"reason": answer.reason or "", "route": answer.route})

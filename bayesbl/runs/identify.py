@@ -12,7 +12,6 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import IdentifyConfig
 from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
-from bayesbl.identification.groups import summarise_identification as summarise
 from bayesbl.identification.identify import Identification, Problem, identify
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.model_search.always_in import with_friction
@@ -24,8 +23,6 @@ from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
 from bayesbl.sampling.chains import SamplerSettings
-
-__all__ = ["describe", "make", "problem_of", "summarise"]
 
 
 def make(config: IdentifyConfig, options: Options, work: WorkStore) -> xr.DataTree:

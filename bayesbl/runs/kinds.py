@@ -55,7 +55,7 @@ _MEASURE = ("fit", "compare")
 Its ``describe(config, plan)`` asks everything that can be asked before the first expensive step:
 ``check`` prints the plan, ``run`` goes by it. ``make(config, options, work)`` gives the result, and
 what takes long goes through ``work``; ``run(config, options)``, in its place, writes an output
-folder that is added to and gives the summary. ``summarise(tree)`` makes that of a stored result.
+folder that is added to and gives the summary.
 """
 
 
@@ -188,7 +188,9 @@ def summarise(tree: Tree) -> Summary:
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
-    summary: Summary = with_sentences(_workflow(tree.attrs["kind"]).summarise(tree))
+    from bayesbl.results.store import summary_of
+
+    summary: Summary = with_sentences(summary_of(tree))
     return summary
 
 

@@ -20,7 +20,6 @@ from bayesbl.measurement.compatibility import (
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.measurement.stored import summary_of as summarise
 from bayesbl.probabilities import normal_isf
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
@@ -28,8 +27,6 @@ from bayesbl.sentences import sentence
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["describe", "make", "summarise"]
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:

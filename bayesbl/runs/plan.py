@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypedDict
+from dataclasses import asdict
+from typing import Literal, TypedDict
 
-import numpy as np
 import xarray as xr
 
 from bayesbl.config.kinds import PlanConfig
 from bayesbl.matching.planning import Strokes, noise_of_bench, ranked_motions
 from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, columns, dataset, table
+from bayesbl.results.store import Head, json_text
+from bayesbl.results.variables import Group, columns, datasets, table
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
 
@@ -84,14 +84,16 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     motions = ranked_motions(bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers)
     shown = any(motion.flank_changes for motion in motions)
     low, high = ([motion.range_rad[end] for motion in motions] for end in (0, 1))
-    values = {**columns(MOTIONS, motions), "low_rad": low, "high_rad": high}
-    tree = xr.DataTree.from_dict({MOTIONS.name: dataset(MOTIONS, values)})
+    values = (columns(MOTIONS, motions), {"low_rad": low, "high_rad": high})
+    tree = xr.DataTree.from_dict(datasets({MOTIONS: values}))
+    planned = [{**asdict(motion), "kind": "strokes"} for motion in motions]
+    summary = {"plan": {"gap_rad": config.gap_rad, "motions": planned}}
     tree.attrs = {
         "kind": "plan",
         "outcome": "converged" if shown else "withheld",
         "reason": "" if shown else NONE_SHOWS,
         "warnings": [],
-        "gap_rad": config.gap_rad,
+        "summary": json_text(summary),
         **provenance_of(config),
     }
     return tree
@@ -102,18 +104,3 @@ NONE_SHOWS = (
     "can show δ. Allow a range in which gravity's torque changes its sign (hanging straight down "
     "or upright), or more acceleration."
 )
-
-
-def summarise(tree: xr.DataTree) -> PlanSummary:
-    """``summary.json`` of a plan."""
-    stored = tree[MOTIONS.name].to_dataset()
-    motions: list[Any] = []
-    for i in range(stored.sizes["motion"]):
-        value: Any = {str(name): float(stored[name].values[i]) for name in stored.data_vars}
-        ends = [value.pop("low_rad"), value.pop("high_rad")]
-        if not np.isfinite(value["expected_relative_sd"]):
-            value["expected_relative_sd"] = None
-        value["flank_changes"] = round(value["flank_changes"])
-        motions.append({"kind": "strokes", "range_rad": ends, **value})
-    gap = float(tree.attrs["gap_rad"])
-    return {"kind": "plan", **head(tree), "plan": {"gap_rad": gap, "motions": motions}}

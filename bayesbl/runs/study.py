@@ -57,7 +57,7 @@ from bayesbl.errors import ConfigError, UserError, WorkerError
 from bayesbl.results.atomic import replacing
 from bayesbl.results.folder import figure_title
 from bayesbl.results.provenance import file_sha256, git_commit, provenance_of
-from bayesbl.results.store import OUTCOME, Head, head
+from bayesbl.results.store import OUTCOME, Head, json_text, summary_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan, work_of, write_result
@@ -334,7 +334,7 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
             _take_from_store(row, work, options.say)
         _finish(study, rows, config, work, options)
         tree = _tree(study, rows, config)
-        summary = summarise(tree)
+        summary: StudySummary = summary_of(tree)
         drawn = replace(options, draw=partial(draw_study, study))
         write_result(tree, summary, config, drawn, {TABLE_FILE: table_csv(summary["rows"])}, work)
     return summary
@@ -371,19 +371,6 @@ class StudySummary(Head):
     kind: Literal["study"]
     study: str
     rows: list[dict[str, Any]]
-
-
-def summarise(tree: xr.DataTree) -> StudySummary:
-    """``summary.json`` of a study, from the result alone."""
-    return {
-        "kind": "study",
-        **head(tree),
-        "study": tree.attrs["study"],
-        "rows": [
-            {**json.loads(row.attrs["line"]), "seconds": float(row.attrs["seconds"])}
-            for row in _groups(tree)
-        ],
-    }
 
 
 def table_csv(lines: Sequence[Mapping[str, Any]]) -> str:
@@ -466,9 +453,11 @@ def _finish(
 def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree:
     groups = {f"row_{n}": _row_group(study, row) for n, row in enumerate(rows, start=1)}
     tree = xr.DataTree.from_dict(groups)
+    attrs = [group.attrs for group in groups.values()]
+    lines = [{**json.loads(own["line"]), "seconds": own["seconds"]} for own in attrs]
     tree.attrs = {
         "kind": "study",
-        "study": study.name,
+        "summary": json_text({"study": study.name, "rows": lines}),
         OUTCOME: "done",
         **provenance_of(config),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -14,22 +14,15 @@ from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.curve.sweep import DegreeSummary, SweepRow, SweepSettings, degree_reports, swept_curve
+from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports, swept_curve
 from bayesbl.errors import ConfigError
-from bayesbl.measurement.curves import (
-    CURVE,
-    MOST_KEPT,
-    SOURCE_PREFIX,
-    STORE,
-    SweepProblem,
-    curve_group,
-)
+from bayesbl.measurement.curves import CURVE, MOST_KEPT, STORE, SweepProblem, curve_group
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, attributes, dataset, labels, table
+from bayesbl.results.store import Head, json_text
+from bayesbl.results.variables import Group, datasets, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
@@ -46,18 +39,7 @@ SWEEP = Group(
         angular_frequency_rad_per_s (gap, start) | rad/s | angular frequency of the ringing
         decay_rate_per_s (gap, start) | 1/s | decay rate of the ringing
         rmse_rpm (gap, start) | rpm | misfit of the waveform
-        amplitude_over_published (gap) | 1 | amplitude over that of the paper's eq. 4
     """),
-)
-
-DEGREES = Group(
-    "degrees",
-    table("""
-        rms_departure (degree) | 1 | RMS relative departure of δ from the polynomial
-        largest_departure (degree) | 1 | largest relative departure of δ from the polynomial
-        log_evidence (degree) | 1 | restricted log likelihood with a smooth lack of fit beside it
-    """),
-    table("degree (degree) | 1 | degree of the polynomial"),
 )
 
 EXAMPLES = Group(
@@ -83,28 +65,14 @@ BENCH_DRAWS = Group(
 )
 
 
-def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
-    """What was simulated at every gap and start angle, and what the fits gave."""
-    published = _published_amplitude(nominal.gap_rad)
-    return dataset(
-        SWEEP,
-        {
-            **attributes(SWEEP, nominal),
-            FREQUENCY: nominal.symbol(FREQUENCY, model.fixed),
-            DECAY: nominal.symbol(DECAY, model.fixed),
-            "amplitude_over_published": nominal.amplitude_rpm.mean(axis=1) / published,
-        },
-    )
-
-
-def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
+def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
     """Noise-free speed over one rotation at a few gaps, for the figures."""
     gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
     speeds = bench.simulate_many(
         gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=0.5 * math.pi
     )
     time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
-    return dataset(EXAMPLES, {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds})
+    return {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds}
 
 
 def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
@@ -128,36 +96,6 @@ class SweepSummary(Head):
     relative_sd: dict[str, float]
     largest_departure_from_published: float
     degrees: dict[str, DegreeSummary]
-
-
-def summarise(tree: xr.DataTree) -> SweepSummary:
-    """``summary.json`` of a sweep."""
-    sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
-    stored = tree[CURVE.name].to_dataset()
-    return {
-        "kind": "sweep",
-        **head(tree),
-        "curve": stored.attrs["name"],
-        "coefficients": stored["coefficients"].values.tolist(),
-        "degree": int(tree.attrs["degree"]),
-        "gap_rad": [float(sweep["gap_rad"][0]), float(sweep["gap_rad"][-1])],
-        "amplitude_rpm": [float(stored["knots_rpm"][0]), float(stored["knots_rpm"][-1])],
-        "largest_correction": float(np.abs(stored["correction"]).max()),
-        "relative_sd": {
-            name.removeprefix(SOURCE_PREFIX): float(stored[name].values.std(axis=0).max())
-            for name in map(str, stored.data_vars)
-            if name.startswith(SOURCE_PREFIX)
-        },
-        "largest_departure_from_published": float(
-            np.abs(sweep["amplitude_over_published"] - 1.0).max()
-        ),
-        "degrees": {str(int(d)): _of_degree(degrees.sel(degree=d)) for d in degrees["degree"]},
-    }
-
-
-def _of_degree(stored: xr.Dataset) -> Any:
-    """The keys of :class:`DegreeSummary`."""
-    return {str(name): float(value) for name, value in stored.items()}
 
 
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
@@ -200,8 +138,6 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     rows.keep_latest(count=MOST_KEPT)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
-    degrees = degree_reports(nominal)
-    by_degree = np.transpose([[*of.values()] for of in degrees.values()])
     report = of_stage(options.progress, "Simulating bench draws")
     swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, report)
     # Of the sweep's sampling and the bench's speed.
@@ -209,7 +145,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
         config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
-    curve, regression = swept_curve(
+    curve, _ = swept_curve(
         str(config.run.output),
         nominal,
         problem.model,
@@ -222,37 +158,41 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     if (first := nominal.gap_rad[0]) > problem.settings.gap_rad[0]:
         leaps = f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing"
         curve = replace(curve, warnings=(f"{leaps}, and the curve begins there.",))
-    tree = xr.DataTree.from_dict(
-        {
-            "sweep": sweep_group(nominal, problem.model),
-            "degrees": dataset(
-                DEGREES,
-                dict(zip(DegreeSummary.__annotations__, by_degree, strict=True)),
-                {"degree": list(degrees)},
-            ),
-            "examples": example_group(bench, problem.settings),
-            CURVE.name: curve_group(curve, config.interval.level, band_seed),
-        }
-    )
+    symbols = {name: nominal.symbol(name, problem.model.fixed) for name in (FREQUENCY, DECAY)}
+    ratio = nominal.amplitude_rpm.mean(axis=1) / _published_amplitude(nominal.gap_rad)
+    groups: dict[Group, object] = {
+        SWEEP: (nominal, symbols),
+        EXAMPLES: _examples(bench, problem.settings),
+    }
     if swept is not None:
-        quantities = ["ln_amplitude", "ln_frequency", "ln_decay"]
-        tree[BENCH_DRAWS.name] = xr.DataTree(
-            dataset(
-                BENCH_DRAWS,
-                {"shift": swept.shifts, "departure": swept.departures},
-                {"parameter": list(swept.names), "quantity": quantities},
-            )
-        )
+        groups[BENCH_DRAWS] = {
+            "shift": swept.shifts,
+            "departure": swept.departures,
+            "parameter": list(swept.names),
+            "quantity": ["ln_amplitude", "ln_frequency", "ln_decay"],
+        }
+    of_curve = {CURVE.name: curve_group(curve, config.interval.level, band_seed)}
+    tree = xr.DataTree.from_dict({**datasets(groups), **of_curve})
     tree.attrs = {
         "kind": "sweep",
         "outcome": "converged",
         "reason": "",
         "warnings": list(curve.warnings),
-        "fingerprint": fingerprint,
-        "lack_of_fit_size": regression.lack_of_fit_size,
-        "lack_of_fit_length": regression.lack_of_fit_length,
         "degree": config.sweep.degree,
         "bench": dump_bench(bench),
+        "summary": json_text(
+            {
+                "curve": curve.name,
+                "coefficients": curve.coefficients,
+                "degree": config.sweep.degree,
+                "gap_rad": nominal.gap_rad[[0, -1]],
+                "amplitude_rpm": curve.knots_rpm[[0, -1]],
+                "largest_correction": np.abs(curve.correction).max(),
+                "relative_sd": {n: draws.std(axis=0).max() for n, draws in curve.sources.items()},
+                "largest_departure_from_published": np.abs(ratio - 1.0).max(),
+                "degrees": degree_reports(nominal),
+            }
+        ),
         **provenance_of(config),
     }
     return tree

@@ -206,7 +206,7 @@ def test_an_answer_beyond_the_curve_is_withheld_with_a_one_sided_bound() -> None
     (withheld,) = gaps(curve(), [snapshot], seed())
     (reason,) = withheld.reasons
     assert f"δ is above {high:.3g} rad with 90" in sentence(reason.stored)
-    assert np.mean(withheld.outside == 1.0) > 0.99
+    assert np.mean(withheld.outside_curve == 1.0) > 0.99
     (asked_for,) = gaps(curve(), [snapshot], seed(), allow_extrapolation=True)
     assert asked_for.reasons == ()
     np.testing.assert_array_equal(asked_for.delta_rad, withheld.delta_rad)
@@ -222,7 +222,7 @@ def test_a_few_draws_beyond_the_curve_are_kept() -> None:
     # 97.2 rpm is 2.8 sd below the end, where 0.26 % of the draws lie beyond.
     (found,) = gaps(curve(), [measured(97.2, 1.0, 1, draws=20_000)], seed())
     assert found.reasons == ()
-    assert 0.0 < np.mean(found.outside == 1.0) < 0.01
+    assert 0.0 < np.mean(found.outside_curve == 1.0) < 0.01
     assert found.delta_rad.max() > curve().gap_range_rad[1]
 
 

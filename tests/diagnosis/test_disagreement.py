@@ -13,10 +13,11 @@ from bayesbl.config.kinds import Method as Configured
 from bayesbl.diagnosis.closed_loop.prediction import compared_channels
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, disagreement_table
-from bayesbl.diagnosis.groups import diagnosis_tree, summarise_diagnosis
+from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.matching.observed import Observed
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
+from bayesbl.results.store import summary_of
 from bayesbl.runs.diagnose import METHODS
 
 LAG = 500
@@ -120,7 +121,7 @@ def test_what_is_left_out_makes_neither_misfit_nor_noise_smaller() -> None:
 def test_where_a_floor_is_from_is_stored_beside_it() -> None:
     pieces = piece(noise(7), noise(7)), piece(noise(8), noise(8), None, "motor_current_a")
     tree = diagnosis_tree(Diagnosis("nothing_missing", (), (), (), pieces), 0.9, "hdi")
-    summary = summarise_diagnosis(tree)["disagreement"]["recordings"]["made"]
+    summary = summary_of(tree)["disagreement"]["recordings"]["made"]
     assert summary["motor_speed_rpm"]["used"]["noise_floor_from"] == "rotation"
     assert summary["motor_current_a"]["used"]["noise_floor_from"] == "samples"
 

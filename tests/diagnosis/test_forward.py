@@ -25,7 +25,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
-from bayesbl.diagnosis.groups import diagnosis_tree, summarise_diagnosis
+from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.task import Task
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
@@ -36,6 +36,7 @@ from bayesbl.noise.process import NoiseModel
 from bayesbl.presentation.diagnosis import headline, wear
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
+from bayesbl.results.store import summary_of
 from bayesbl.runs.kinds import result_of_run
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -130,7 +131,7 @@ def test_a_gap_that_the_edge_of_a_search_decides_is_withheld(independent) -> Non
     settings = SamplerSettings(ensembles=2)
     posterior = sample_direct(findings.final.fit, settings, np.random.SeedSequence(1))
     tree = diagnosis_tree(diagnosis_of(findings, posterior), 0.9, "equal_tailed")
-    summary = summarise_diagnosis(tree)
+    summary = summary_of(tree)
     assert summary["verdict"] == "parameter_error"
     assert summary["delta_rad_after"] is None
     assert "is at the lower edge" in summary["gap_withheld"]
@@ -143,7 +144,7 @@ def test_intervals_are_those_of_the_draws_that_are_stored(friction: Found) -> No
     settings = SamplerSettings(ensembles=2)
     posterior = sample_direct(friction.findings.final.fit, settings, np.random.SeedSequence(1))
     tree = diagnosis_tree(diagnosis_of(friction.findings, posterior), 0.9, "equal_tailed")
-    summary = summarise_diagnosis(tree)
+    summary = summary_of(tree)
     assert summary["diagnostics"]["outcome"] == "converged"
     for told, draws in (
         (summary["delta_rad_after"], tree["posterior"]["delta_rad"]),

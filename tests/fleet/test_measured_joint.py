@@ -63,23 +63,23 @@ def test_what_is_not_known_of_the_bench_cancels_in_the_rate(job):
     assert answered == tuple(job.known.values())
     assert wear.reason is None
     assert wear.used == (0, 1, 2, 3)
-    low, high = np.quantile(wear.rate_rad_per_year, (0.05, 0.95))
+    low, high = np.quantile(wear.wear.rate_rad_per_year, (0.05, 0.95))
     assert low < RATE < high
     # Independent gaps would leave 0.04 mrad of scatter: 13 % of the growth.
-    assert np.std(wear.rate_rad_per_year) < 0.08 * RATE
+    assert np.std(wear.wear.rate_rad_per_year) < 0.08 * RATE
     assert wear.gap_rad.shape == (4, 2000)
     assert np.corrcoef(wear.gap_rad)[0, 3] > 0.9
 
 
 def test_the_same_joint_gives_the_same_numbers(job):
     np.testing.assert_array_equal(
-        measure_joint(job)[1].rate_rad_per_year, measure_joint(job)[1].rate_rad_per_year
+        measure_joint(job)[1].wear.rate_rad_per_year, measure_joint(job)[1].wear.rate_rad_per_year
     )
 
 
 def test_a_recording_that_contradicts_the_bench_leaves_no_rate(job):
     _, wear = measure_joint(with_answer(job, 3, agrees=False, outcome="withheld", reason="It is."))
-    assert wear.rate_rad_per_year is None
+    assert wear.wear is None
     assert "2026-07-01: the recording contradicts the bench" in str(wear.reason)
 
 
@@ -91,7 +91,7 @@ def test_a_bench_that_changed_leaves_no_rate_and_is_named(job):
         bench[1] = (1.5 if number == 3 else -1.0) + 0.1 * generator.standard_normal(1000)
         known[number] = replace(one, bench=bench)
     _, wear = measure_joint(replace(job, known=known))
-    assert wear.rate_rad_per_year is None
+    assert wear.wear is None
     assert "Something other than the gap changed" in str(wear.reason)
     assert "2026-07-01 (load_inertia_kg_m2" in str(wear.reason)
 
@@ -119,7 +119,7 @@ def test_only_what_was_recorded_since_the_repair_counts(job):
     assert wear.reason is None
     late = replace(job, joint=other_joint(job, repaired="2026-06-01"))
     _, wear = measure_joint(late)
-    assert wear.rate_rad_per_year is None
+    assert wear.wear is None
     assert "only one snapshot since the repair" in str(wear.reason)
     assert wear.gap_rad.shape == (1, 1000)
 
@@ -127,7 +127,7 @@ def test_only_what_was_recorded_since_the_repair_counts(job):
 def test_a_gap_that_fell_leaves_no_rate(job):
     swapped = replace(job, known={n: job.known[3 - n] for n in range(4)})
     _, wear = measure_joint(swapped)
-    assert wear.rate_rad_per_year is None
+    assert wear.wear is None
     assert "wear does not heal" in str(wear.reason)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pooled_coverage import case, fleet, of_rate
 
-from bayesbl.fleet.pooled_rates import Draws, alarms, pooled
-from bayesbl.measurement.wear import KINDS
+from bayesbl.fleet.pooled_rates import alarms, pooled
+from bayesbl.measurement.wear import KINDS, WearDraws
 from bayesbl.recording.types import FloatArray
 
 PRIOR = [kind.probability for kind in KINDS]
@@ -52,6 +52,10 @@ def test_a_load_that_all_joints_share_changes_nothing():
         assert np.array_equal(one.chosen, other.chosen)
 
 
+def drawn(rate: FloatArray, kind: FloatArray, jump_rad: FloatArray) -> WearDraws:
+    return WearDraws(rate, kind, jump_rad, rate)
+
+
 def jumps(generator: np.random.Generator, middle: float = 1e-6, spread: float = 2.0) -> FloatArray:
     return middle * np.exp(spread * generator.standard_normal(2000))
 
@@ -87,7 +91,7 @@ def test_joints_of_a_type_share_its_law_and_those_that_show_another_keep_it():
     laws.append(generator.choice(len(KINDS), 2000, p=PRIOR))
     laws.append(np.where(generator.uniform(size=2000) < 0.999, fast, even))
     found = pooled(
-        [Draws(generator.normal(3e-4, 2e-5, 2000), law, jumps(generator)) for law in laws],
+        [drawn(generator.normal(3e-4, 2e-5, 2000), law, jumps(generator)) for law in laws],
         generator,
     )
     assert found is not None
@@ -121,11 +125,11 @@ def test_a_joint_with_few_recordings_leans_less_on_a_type_of_strangers():
 
     def share_of_first(laws: list[int]) -> float:
         joints = [
-            Draws(generator.normal(3e-4, 2e-5, 2000), np.full(2000, law), jumps(generator))
+            drawn(generator.normal(3e-4, 2e-5, 2000), np.full(2000, law), jumps(generator))
             for law in laws
         ]
         open_law = generator.choice(len(KINDS), 2000, p=PRIOR)
-        joints.append(Draws(generator.normal(3e-4, 2e-5, 2000), open_law, jumps(generator)))
+        joints.append(drawn(generator.normal(3e-4, 2e-5, 2000), open_law, jumps(generator)))
         found = pooled(joints, generator)
         assert found is not None
         chosen = found.joints[-1].chosen
@@ -145,7 +149,7 @@ def test_how_irregular_wear_is_is_shared_too():
     generator = np.random.default_rng(13)
     rates = [generator.normal(3e-4, 2e-5, 2000) for _ in range(20)]
     joints = [
-        Draws(own, generator.choice(len(KINDS), 2000, p=PRIOR), jumps(generator, 5e-5, 0.5))
+        drawn(own, generator.choice(len(KINDS), 2000, p=PRIOR), jumps(generator, 5e-5, 0.5))
         for own in rates
     ]
     joints[-1] = of_rate(rates[-1], generator)

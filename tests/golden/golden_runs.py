@@ -352,7 +352,6 @@ def read_sweep(output: Path) -> Numbers:
         "decay_rate_per_s",
         "departure",
         "gap_rad",
-        "log_evidence",
         "rmse_rpm",
         "shift",
         "start_angle_rad",
@@ -362,6 +361,8 @@ def read_sweep(output: Path) -> Numbers:
         for name in sorted(wanted & {str(key) for key in group.data_vars}):
             if "example" not in group[name].dims:
                 found["values"][name] = _numbers(group[name].values)
+    degrees = _summary(output)["degrees"].values()
+    found["values"]["log_evidence"] = [float(fit["log_evidence"]) for fit in degrees]
     return found
 
 

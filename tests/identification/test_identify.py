@@ -219,7 +219,7 @@ def test_the_data_sheets_own_values_are_compared_unless_no_joint_can_have_them(
     asked = problem(data_sheet(**wrong))
     found = identify(asked, SETTINGS, np.random.SeedSequence(1)) if wrong else identified()
     tree = identification_tree(found, asked, 0.9, "equal_tailed")
-    overall = json.loads(tree.attrs["identification"])["disagreement"]["over_all"]["used"]
+    overall = json.loads(tree.attrs["summary"])["disagreement"]["over_all"]["used"]
     assert (overall["before"] > 2.0 * overall["after"]) is differs
     assert differs or overall["before"] == overall["after"]
 

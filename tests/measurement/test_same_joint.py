@@ -14,7 +14,6 @@ from recording_files import write_csv
 import bayesbl
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
-from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
     MEAN_CURRENT,
@@ -23,6 +22,7 @@ from bayesbl.measurement.joint_features import (
     folded_signal,
     harmonic_name,
 )
+from bayesbl.measurement.measurement import JointCheck
 from bayesbl.measurement.same_joint import COULD_BE, FILTER, LINE, change_reason, same_joint
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate

@@ -19,7 +19,7 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import fit_directly
+from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.model_search.always_in import (
     Direction,
     Label,
@@ -262,6 +262,11 @@ def test_a_law_that_no_catalogue_has_widens_the_gap(independent: ModuleType) -> 
         log_gap = np.log(match.posterior.values(GAP, name))
         assert abs(log_gap.mean() - math.log(gap)) < 3.5 * log_gap.std()
     assert match.posterior.model_widening[0] > 1.5
+    said = [
+        [reason for reason in direct_reasons(match, index) if reason.code == "allows_for_misfit"]
+        for index in range(len(seen))
+    ]
+    assert all(of_one == said[0] != [] for of_one in said)
 
 
 @pytest.mark.long

@@ -520,7 +520,7 @@ def compared_result():
         "verdict": "unexplained", "remaining": [], "effects": [],
         "disagreement": {"recordings": recordings, "over_all": {}},
     }  # fmt: skip
-    tree.attrs = {"diagnosis": json.dumps(answer), "kind": "diagnose"}
+    tree.attrs = {"summary": json.dumps(answer), "kind": "diagnose"}
     tree.attrs |= dict.fromkeys(("version", "commit", "seed", "outcome", "reason"), "")
     tree.attrs["warnings"] = []
     return tree, recordings["c"]

@@ -219,7 +219,8 @@ def test_a_study_with_a_hostile_row_is_shown(tmp_path):
         attrs={"name": HOSTILE, "line": json.dumps(line), "commit": "abc", "seconds": 2.0},
     )
     tree = xr.DataTree.from_dict({"row_1": row})
-    tree.attrs = {"kind": "study", "study": "coverage", "outcome": "done"}
+    summary = json.dumps({"study": "coverage", "rows": [line | {"seconds": 2.0}]})
+    tree.attrs = {"kind": "study", "summary": summary, "outcome": "done"}
     tree.attrs |= {"bayesbl_version": "1", "git_commit": "abc", "seed": 1}
     tree.attrs |= {"config": CONFIG_OF_A_LOST_STUDY, "input_sha256": "{}"}
     write_tree(tree, tmp_path / "result.nc")

@@ -40,9 +40,9 @@ def pages(folder: Path, faster: float) -> dict[str, str]:
     """Of eight joints of one type, of which the last wears ``faster`` than it was simulated."""
     measured, rows = eight()
     last = measured[-1].answer
-    assert last.rate_rad_per_year is not None
-    answer = replace(last, rate_rad_per_year=faster * last.rate_rad_per_year)
-    measured[-1] = replace(measured[-1], answer=answer)
+    assert last.wear is not None
+    wear = replace(last.wear, rate_rad_per_year=faster * last.wear.rate_rad_per_year)
+    measured[-1] = replace(measured[-1], answer=replace(last, wear=wear))
     types, borrowed = pool(measured, "gearbox", 1)
     of_joints = joint_rows(measured, borrowed, LEVEL, None)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)

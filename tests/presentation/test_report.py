@@ -736,7 +736,7 @@ def test_a_withheld_gap_beyond_the_curve_claims_no_certainty():
     amplitude = np.random.default_rng(1).normal(190.0, 0.5, (2, 200))
     ringing = MeasuredRinging(amplitude, np.array([190.0, 4.2, 2.9]), np.diag([0.25, 1e-4, 1e-4]))
     (found,) = gaps(curve, [ringing], np.random.SeedSequence(1))
-    assert np.all(found.outside == 1.0)
+    assert np.all(found.outside_curve == 1.0)
     (reason,) = found.reasons
     told = sentence(reason.stored)
     assert "More than 99 % of the posterior" in told

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
 
-from bayesbl.results.variables import Group, Variable, dataset, labels
+from bayesbl.results.variables import Group, Variable, dataset, datasets, labels, table
 
 DRAWN = Group(
     "drawn",
@@ -54,3 +56,12 @@ def test_a_written_group_reads_back_as_it_was_given(tmp_path):
 def test_only_what_is_declared_can_be_written_and_all_of_it_must(values, error):
     with pytest.raises(error):
         dataset(DRAWN, values, LABELS)
+
+
+def test_sources_are_mappings_and_objects_and_numbers_along_a_dimension_count_by_themselves():
+    numbered = Group("drawn", DRAWN.variables, table("draw (draw) | 1 | number of the draw"))
+    source = SimpleNamespace(gap_rad=np.ones((2, 3)), note="first", undeclared=1.0)
+    made = datasets({numbered: (source, None, {"note": "later"})})["drawn"]
+    assert made["note"].item() == "later"
+    assert made["draw"].values.tolist() == [0, 1, 2]
+    assert set(made.variables) == {"gap_rad", "note", "draw"}

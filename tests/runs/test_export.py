@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from places import AFTER, BEFORE, CONFIGS
 
 import bayesbl
@@ -158,7 +160,19 @@ def test_another_bench_and_existing_files_are_refused(result: Path, tmp_path: Pa
 def test_only_snapshots_with_a_gap_are_written(tmp_path: Path) -> None:
     """Of two recordings by the amplitude and the paper's curve, one with no gap to report."""
     both = bayesbl.compare(BEFORE, AFTER, curve="published", seed=1, workers=1).to_datatree()
-    both["gap"] = both["gap"].to_dataset().isel(snapshot=[1])
+    summary = json.loads(both.attrs["summary"])
+    withheld(summary["snapshots"][0], both, summary)
     write_tree(both, tmp_path / "result.nc")
     written = export(tmp_path, CONFIGS / "joint.toml", tmp_path / "out")
     assert [path.name for path in written] == ["wear_after.xml", "wear_after.csv"]
+    withheld(summary["snapshots"][1], both, summary)
+    write_tree(both, tmp_path / "result.nc")
+    with pytest.raises(ResultError, match="reports no gap"):
+        export(tmp_path, CONFIGS / "joint.toml", tmp_path / "other")
+
+
+def withheld(snapshot: Any, tree: xr.DataTree, summary: Any) -> None:
+    """Have a result withhold the gap of a snapshot; its draws stay where they are."""
+    for part in (snapshot, *snapshot["routes"].values()):
+        part["delta_rad"] = None
+    tree.attrs["summary"] = json.dumps(summary)

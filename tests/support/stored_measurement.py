@@ -28,6 +28,7 @@ def stored_comparison(
     tree = xr.DataTree.from_dict({**groups, "gap": gap, **beside})
     tree.attrs = {
         "kind": "compare",
+        "outcome": "withheld" if withheld else "converged",
         "route": first,
         "routes": list(routes),
         "recordings": list(names),
@@ -36,7 +37,6 @@ def stored_comparison(
     }
     changes = {r: _change(each["posterior"]["delta_rad"].values) for r, each in routes.items()}
     summary = {
-        "kind": "compare",
         "reason": None,
         "snapshots": [
             {"name": n, "routes": {r: _part(each, n, n in withheld) for r, each in routes.items()}}

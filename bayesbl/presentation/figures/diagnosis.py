@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -14,18 +13,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-from bayesbl.diagnosis.groups import summarise_diagnosis
 from bayesbl.presentation.diagnosis import USES, compared_pieces, headline, learned_of
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS, FloatArray
+from bayesbl.results.store import summary_of
 from bayesbl.units import in_words, unit_of
 
 if TYPE_CHECKING:
     from bayesbl.diagnosis.disagreement import DisagreementSummary, Use
-    from bayesbl.diagnosis.groups import Answer
-    from bayesbl.identification.groups import IdentificationAnswer, ParameterSummary
+    from bayesbl.diagnosis.groups import DiagnosisSummary
+    from bayesbl.identification.groups import IdentificationSummary, ParameterSummary
 
     Piece = tuple[str, str, Use, DisagreementSummary]
 
@@ -53,8 +52,8 @@ def _held_out(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
 
 def _pieces(tree: xr.DataTree) -> list[Piece]:
     """Everything that was compared, held out first."""
-    answer: Answer = json.loads(tree.attrs["diagnosis"])
-    return sorted(compared_pieces(answer["disagreement"]), key=lambda piece: piece[2])
+    summary: DiagnosisSummary = summary_of(tree)
+    return sorted(compared_pieces(summary["disagreement"]), key=lambda piece: piece[2])
 
 
 @stored_figure(
@@ -70,7 +69,7 @@ def held_out(tree: xr.DataTree, recording: str, use: Use) -> Figure:
     pieces = _pieces(tree)
     rms = {channel: size for name, channel, of, size in pieces if (name, of) == (recording, use)}
     whole = f"Left: recording {recording}, {USES[use]}. Right: all recordings."
-    heading = [*textwrap.wrap(headline(summarise_diagnosis(tree)), _LINE_LETTERS), whole]
+    heading = [*textwrap.wrap(headline(summary_of(tree)), _LINE_LETTERS), whole]
     top = 0.5 + style.LINE_IN * len(heading)
     height = max(_SHOWN_ROW_IN * len(rms) + 0.3, 0.26 * len(pieces) + 0.6)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + height)
@@ -233,8 +232,7 @@ def learned_course(tree: xr.DataTree) -> Figure:
     group = next(group for group in _LEARNED if group in tree.children)
     value, deviation, scale, label = _LEARNED[group]
     stored = tree[group].to_dataset()
-    answer: Answer = json.loads(tree.attrs["diagnosis"])
-    term = learned_of(answer)
+    term = learned_of(summary_of(tree))
     assert term is not None
     figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0)
     panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
@@ -254,12 +252,12 @@ def learned_course(tree: xr.DataTree) -> Figure:
 @stored_figure(
     "Each parameter before and after the recordings.",
     100,
-    lambda tree: "identification" in tree.attrs,
+    lambda tree: bool(tree.attrs["kind"] == "identify"),
 )
 def prior_and_posterior(tree: xr.DataTree) -> Figure:
     """Per cent from the data sheet's value: its tolerance, and median and interval found."""
-    answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
-    parameters = answer["parameters"]
+    summary: IdentificationSummary = summary_of(tree)
+    parameters = summary["parameters"]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.8 + 0.3 * len(parameters))
     place = style.grid(figure, 1, 1, left=1.55, right=1.75, top=0.35, bottom=0.45)
     panel = figure.add_subplot(place[0, 0])

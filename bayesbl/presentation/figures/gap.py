@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summary_of
+from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers
 from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, used_dates
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
@@ -37,6 +37,7 @@ from bayesbl.presentation.words import (
     route_in_words,
 )
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.store import summary_of
 from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE
 

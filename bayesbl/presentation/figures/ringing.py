@@ -176,7 +176,7 @@ def overlay(tree: xr.DataTree) -> Figure:
             (upper,), (lower,) = inner.subplots(sharex=True, squeeze=False)
             _draw_overlay(upper, lower, snapshot, channel)
             heads.append(upper)
-            moves = "flank_changes" in snapshot.groups["predictive"]
+            moves = "flank_changes" in snapshot.group("predictive")
             titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
     style.head_panels(heads, titles)
     style.legend_over(figure, heads[0])
@@ -185,7 +185,7 @@ def overlay(tree: xr.DataTree) -> Figure:
 
 def _has(snapshot: Snapshot, channel: str) -> bool:
     name = f"simulated_{channel}"
-    predictive = snapshot.groups["predictive"]
+    predictive = snapshot.group("predictive")
     return name in predictive and bool(predictive[name].notnull().any())
 
 
@@ -205,7 +205,7 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
     unit = _CHANNELS[channel].rsplit(" ", 1)[1]
     upper.set_ylabel(_CHANNELS[channel])
     lower.set_ylabel(f"Residual {unit}")
-    if "flank_left_s" in snapshot.groups["predictive"]:
+    if "flank_left_s" in snapshot.group("predictive"):
         parted, met = (snapshot.values("predictive", f"flank_{end}_s") for end in ("left", "met"))
         for start, stop in zip(time[0] + parted, time[0] + met, strict=True):
             if begin <= stop < begin + period:
@@ -257,7 +257,7 @@ def corner(snapshot: Snapshot) -> Figure:
 
     All are in one panel, in cells: panels of their own take four times as long to draw.
     """
-    names = [name for name in (*SYMBOLS, style.GAP) if name in snapshot.groups["posterior"]]
+    names = [name for name in (*SYMBOLS, style.GAP) if name in snapshot.group("posterior")]
     symbols = [_Symbol.of(name, snapshot.values("posterior", name).ravel()) for name in names]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, style.DOUBLE_COLUMN_IN)
     panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, bottom=0.7, top=0.1)[0])

@@ -214,19 +214,19 @@ def disturbance(tree: xr.DataTree) -> Figure:
     positive = figure.add_subplot(spec[0, 1], sharey=whole)
     negative = figure.add_subplot(spec[0, 2], sharey=whole)
     begin, length = pulse_view(tree)
-    views = [(positive, int(np.argmax(speeds[-1]))), (negative, int(np.argmin(speeds[-1])))]
-    for index, (gap, speed) in enumerate(zip(gaps, speeds, strict=True)):
-        colour = colours(len(gaps))[index]
+    # A quarter of a rotation from either end, where the load starts hanging level.
+    views = {positive: np.argmax(speeds[-1]), negative: np.argmin(speeds[-1])}
+    for gap, speed, colour in zip(gaps, speeds, colours(len(gaps)), strict=True):
         label = f"δ = {1e3 * gap:.2f} mrad"
         whole.plot(time, speed, color=colour, linewidth=0.8, label=label)
-        for panel, peak in views:
-            _draw_pulse(panel, time, speed, time[peak] + begin, length, colour)
-    for _, peak in views:
-        _mark_disturbance(whole, time, time[peak] + begin, length)
+        for panel, peak in views.items():
+            panel.plot(1e3 * (time - time[peak] - begin), speed, color=colour, linewidth=1.0)
+    for peak in views.values():
+        style.shade(whole, time[peak] + begin, time[peak] + begin + length)
     whole.set_xlim(time[0], time[-1])
     whole.set_xlabel("Time (s)")
     whole.set_ylabel("Motor speed (rpm)")
-    for panel, _ in views:
+    for panel in views:
         panel.set_xlim(0.0, 1e3 * length)
         panel.set_xlabel("Time in the shaded part (ms)")
         panel.tick_params(labelleft=False)
@@ -251,28 +251,3 @@ def colours(count: int) -> list[tuple[float, float, float, float]]:
     """From light to dark with the gap, in grey too."""
     shades = mpl.colormaps["viridis_r"](np.linspace(0.18, 1.0, count))
     return [(float(r), float(g), float(b), float(a)) for r, g, b, a in shades]
-
-
-def _mark_disturbance(whole: Axes, time: FloatArray, begin: float, length: float) -> None:
-    """Where a pulse's view lies in the rotation, in two parts if it runs over the end."""
-    period = time[-1] - time[0]
-    for turn in (-period, 0.0, period):
-        start, stop = max(begin + turn, time[0]), min(begin + turn + length, time[-1])
-        if start < stop:
-            style.shade(whole, start, stop)
-
-
-def _draw_pulse(
-    panel: Axes,
-    time: FloatArray,
-    speed: FloatArray,
-    begin: float,
-    length: float,
-    colour: tuple[float, float, float, float],
-) -> None:
-    """A stretch of the rotation, which continues from its end to its start."""
-    period = time[-1] - time[0]
-    shifted = (time[:-1] - begin) % period
-    order = np.argsort(shifted)
-    inside = order[shifted[order] <= length]
-    panel.plot(1e3 * shifted[inside], speed[inside], color=colour, linewidth=1.0)

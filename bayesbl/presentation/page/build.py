@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block
-from bayesbl.presentation.citations import all_bibtex
+from bayesbl.presentation.console import all_bibtex
 from bayesbl.presentation.figures.stored_figure import drawn
 from bayesbl.presentation.subjects import SUBJECTS, blocks, details, origin
 from bayesbl.results.folder import FIGURES
