@@ -266,7 +266,7 @@ def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, c
     assert "speed's ripple" in " ".join(told.err.split())  # why this method
     first = " ".join(told.out.split())
     assert first.startswith("Motor torque ripple (order 6) 0.0")
-    assert "is missing from the bench: with it" in first
+    assert "is missing from the bench: adding it" in first
     same = bayesbl.diagnose(*files, bench="bench.toml").summary
     stored = json.loads(Path("out", "summary.json").read_text())
     assert [e["parameters"] for e in same["effects"]] == [

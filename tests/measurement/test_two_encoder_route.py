@@ -54,7 +54,9 @@ def test_a_comparison_gives_both_plays_and_their_change(tmp_path):
         assert part["windup_rad_per_nm"] is None
         assert part["transmission_error"]["peak_to_peak_rad"]["median"] < 2e-3
     assert summary["change_rad"]["low"] < 4e-3 < summary["change_rad"]["high"]
-    assert summary["probability_increase"] > 0.99
+    # Where there is play at both dates, it grew for sure.
+    sure = min(part["probability_of_play"] for part in summary["snapshots"])
+    assert summary["probability_increase"] >= sure > 0.95
 
 
 def test_a_joint_has_play_or_none_at_both_dates(tmp_path):
