@@ -131,7 +131,7 @@ def repeats_beyond_noise(
     """
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part = "the part that repeats every rotation"
-    look = f"`bayesbl diagnose` of {recording}, or of more of its date, looks for what is missing."
+    look = f"`bayesbl diagnose` of {recording}, or of more of that date, looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
         part = "the residual"
@@ -705,6 +705,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "The load's weight is above its friction {share:.0f %} of the time, so it rests on one "
         "flank in both directions and hides the play. Record with the load balanced or the axis "
         "upright, or move it over the top and back."
+    ),
+    "change_of_bounds": (
+        "No recording shows play, so its change is unknown; the play cannot have grown by more "
+        "than the last bound of δ, {upper_rad:.3f mrad}."
     ),
     "weight_unknown": (
         "These data do not show play for certain (probability of play {probability:.0f %}), nor "

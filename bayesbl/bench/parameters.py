@@ -67,9 +67,9 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
     ),
     ParameterInfo(
         "gravity_torque_nm",
-        "largest torque m g l of gravity on the load, 0 of a vertical axis",
+        "largest torque m g l of gravity on the load",
         positive=False,
-        idle=0.0,
+        default=0.0,
         correctable=True,
     ),
     ParameterInfo(

@@ -551,7 +551,7 @@ class BenchFile(Section):
             for name, info in PARAMETER_INFO.items()
             if self.drive == "rigid" and info.idle is not None and name not in given
         }
-        return Bench(
+        bench = Bench(
             given | idle,
             gap_form=self.gap_form,
             drive=self.drive,
@@ -561,6 +561,13 @@ class BenchFile(Section):
             learned_torque=None if self.learned_torque is None else self.learned_torque.learned(),
             encoder_error=None if self.encoder_error is None else self.encoder_error.learned(),
         )
+        if self.drive == "two_mass" and "gravity_torque_nm" not in given:
+            raise BenchError(
+                "A bench with a gap needs gravity, which moves the load from flank to flank.",
+                where="gravity_torque_nm",
+                expected="its largest torque; 0 for a vertical axis",
+            )
+        return bench
 
 
 @checked

@@ -372,7 +372,7 @@ class Candidates(Section):
 
 
 class DiagnoseConfig(RecordedConfig):
-    """``kind = "diagnose"``; all recordings share one gap."""
+    """``kind = "diagnose"``."""
 
     kind: Literal["diagnose"]
     bench: BenchSource
@@ -392,13 +392,6 @@ class DiagnoseConfig(RecordedConfig):
                 found=", ".join(f'{r.name}: use = "{r.use}"' for r in self.recordings)
                 or "no recordings",
                 expected='use = "hold_out" for one recording, or "split"',
-            )
-        dates = {recording.date for recording in self.recordings}
-        if len(dates) > 1:
-            refuse(
-                "The recordings of a diagnosis share one gap, which may differ between dates.",
-                found=", ".join(f"{r.name}: {r.date or 'no date'}" for r in self.recordings),
-                expected="recordings of one date; diagnose each date by itself",
             )
 
 

@@ -294,8 +294,8 @@ class _Document:
             raise self._wrong_kind(
                 "A bench describes a joint, and is no run of its own.",
                 _in_words(self.kind),
-                f'a configuration that names it (bench = "{name}"), or --bench {name} with '
-                "recordings",
+                f'a configuration that names it (bench = "{name}"), or recordings with '
+                f"--bench {shlex.quote(name)}",
             )
         expected = " or ".join(map(_in_words, wanted))
         raise self._wrong_kind("This file is of another kind.", _in_words(self.kind), expected)
@@ -432,7 +432,7 @@ _OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
 _COMMON_SECTIONS = ("schema", "run", "columns", "interval")
 """Sections that identification and diagnosis take from the configuration of a measurement."""
 
-_OF_A_FILE = ("date", "repaired", "reference_speed_rpm", "bench")
+_OF_A_FILE = ("date", "repaired")
 """Keys of an entry of ``[[recordings]]`` that are of its file, whatever command it is given to."""
 
 _OF_A_BENCH = ("identify", "diagnose")
@@ -575,32 +575,42 @@ def _read(path: Path) -> _Document:
     return _Document.read(path, "a configuration in TOML", hint)
 
 
-def _stated(document: _Document) -> dict[Path, _Tables]:
-    """What a configuration states of recordings of one file, by that file."""
+def _stated(document: _Document) -> dict[str, _Tables]:
+    """When recordings were taken, by their files, as a configuration states it."""
     entries = document.tables.get("recordings")
-    return {
-        Path(document.directory, entry["file"]).resolve(): {
-            key: entry[key] for key in _OF_A_FILE if key in entry
-        }
-        for entry in (entries if isinstance(entries, list) else [])
-        if isinstance(entry, dict) and isinstance(entry.get("file"), str)
-    }
+    stated = {}
+    for entry in entries if isinstance(entries, list) else []:
+        if isinstance(entry, dict) and isinstance(entry.get("file"), str):
+            place = _place(Path(document.directory, entry["file"]))
+            stated[place] = {key: entry[key] for key in _OF_A_FILE if key in entry}
+    return stated
+
+
+def _place(path: str | Path) -> str:
+    """The same of all names of one file; what is no path is refused where it is read."""
+    try:
+        return os.path.realpath(path)
+    except ValueError:
+        return str(path)
 
 
 def _entries(
-    recordings: Sequence[str | Path], dates: Sequence[Date], stated: Mapping[Path, _Tables]
+    recordings: Sequence[str | Path], dates: Sequence[Date], stated: Mapping[str, _Tables]
 ) -> list[_Tables]:
-    """Entries for recordings given by path, each with a name of its own, and with what is
-    ``stated`` of its file."""
-    return [
-        {
-            **stated.get(Path(path).resolve(), {}),
-            "name": name,
-            "file": str(Path(path).absolute()),
-            **({"date": dates[number]} if dates else {}),
-        }
-        for number, (path, name) in enumerate(zip(recordings, names_of(recordings), strict=True))
+    """Entries for recordings given by path, each with a name of its own.
+
+    They have what is ``stated`` of their files if that dates all of them.
+    """
+    entries: list[_Tables] = [
+        {"name": name, "file": str(Path(path).absolute())}
+        for path, name in zip(recordings, names_of(recordings), strict=True)
     ]
+    if dates:
+        return [{**entry, "date": day} for entry, day in zip(entries, dates, strict=True)]
+    known = [stated.get(_place(path), {}) for path in recordings]
+    if not all("date" in own for own in known):
+        return entries
+    return [{**own, **entry} for own, entry in zip(known, entries, strict=True)]
 
 
 def _default_output(kind: str, recordings: Sequence[str | Path], config: str | Path | None) -> str:

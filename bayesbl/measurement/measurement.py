@@ -249,9 +249,6 @@ class Answer:
         The recording against what the bench predicts at its gap.
     upper_bound_rad
         δ is below it with a probability of 95 %, where it is not told from none.
-    change_draws_rad
-        In place of ``delta_rad`` in the change from or to another answer, where this one says no
-        more than a bound: what its prior takes for none is no evidence that nothing changed.
     """
 
     name: str
@@ -261,12 +258,6 @@ class Answer:
     numbers: Mapping[str, Any] = field(default_factory=dict)
     model_check: JointCheck = field(default_factory=joint_check)
     upper_bound_rad: float | None = None
-    change_draws_rad: FloatArray | None = None
-
-    @property
-    def compared_rad(self) -> FloatArray | None:
-        """Draws of δ of which changes are made, shape (chain, draw)."""
-        return self.delta_rad if self.change_draws_rad is None else self.change_draws_rad
 
     @property
     def outcome(self) -> Outcome:

@@ -41,8 +41,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):
         ringing = next((r.ringing_change for r in routes if r.ringing_change is not None), None)
-        compared = {a.name: a.compared_rad for a in measured.answers if a.compared_rad is not None}
-        groups["change"] = change_group(compared, ringing)
+        groups["change"] = change_group(drawn, ringing)
         if not (measured.without_gap or measured.by_other_joint):
             wear, wear_reason = wear_of(
                 config, measured.answers, task.seeds.wear, measured.change_reason
@@ -238,7 +237,7 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
 def _change(measured: Measurement, first: int, last: int, config: CompareConfig) -> dict[str, Any]:
     """Of δ between two recordings, where neither is withheld nor the change itself."""
     ends = [measured.answers[number] for number in (first, last)]
-    before, after = (None if end.is_withheld else end.compared_rad for end in ends)
+    before, after = (None if end.is_withheld else end.delta_rad for end in ends)
     if before is None or after is None or measured.change_reason is not None:
         return {"change_rad": None, "probability_increase": None}
     change = after - before

@@ -185,34 +185,34 @@ class TwoEncoderMeasurer(Measurer):
 
     def measure(self, task: Task) -> Measurement:
         """One recording after the other."""
-        answers = []
+        answers, likely = [], []
         for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
             report = of_stage(task.progress, f"Fitting {recording.name}")
             transmission = fit_transmission(
                 channels_of(recording), seed, task.seeds.gap, self.config.joint.gear_ratio, report
             )
-            answers.append(self._answer(recording, transmission, np.random.default_rng(seed)))
-        return Measurement(NAME, answers)
+            answers.append(self._answer(recording, transmission))
+            likely.append(transmission.probability_of_play > LIKELY)
+        reason = None
+        if len(answers) > 1 and not (any(likely) or any(one.is_withheld for one in answers)):
+            # What the prior takes for none is no evidence that nothing changed.
+            reason = Reason("change_of_bounds", {"upper_rad": answers[-1].upper_bound_rad})
+        return Measurement(NAME, answers, change_reason=reason)
 
-    def _answer(
-        self, recording: Recording, transmission: Transmission, generator: np.random.Generator
-    ) -> Answer:
+    def _answer(self, recording: Recording, transmission: Transmission) -> Answer:
         # The gravest first.
         reasons = sorted(self._findings(transmission), key=lambda reason: not reason.withholds)
         withheld = outcome_of(reasons) == "withheld"
         sure = transmission.probability_of_play >= UPPER_BOUND_LEVEL
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
         groups = groups_of(transmission, recording, at_output=self._is_at_output(transmission))
-        upper, delta_rad = upper_bound_rad(transmission), transmission.draws["delta_rad"]
-        is_likely = transmission.probability_of_play > LIKELY
         return Answer(
             recording.name,
-            delta_rad,
+            transmission.draws["delta_rad"],
             reasons,
             groups,
             _numbers(transmission, groups["posterior"], self.config.interval, is_withheld=withheld),
-            upper_bound_rad=None if sure or withheld else upper,
-            change_draws_rad=None if is_likely else generator.uniform(0.0, upper, delta_rad.shape),
+            upper_bound_rad=None if sure or withheld else upper_bound_rad(transmission),
         )
 
     def _is_at_output(self, transmission: Transmission) -> bool:

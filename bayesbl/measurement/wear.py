@@ -572,7 +572,7 @@ def wear_of(
         return group, change_reason
     years = np.array([years_between(since[0], day) for day in since])
     drift_seed, wear_seed = seed.spawn(2)
-    measured = np.stack([a.compared_rad for a in chosen if a.compared_rad is not None])
+    measured = np.stack([a.delta_rad for a in chosen if a.delta_rad is not None])
     drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
     start, limit = config.wear.in_service_since, limit_rad_of(config)
     age = None if start is None else max(years_between(start, since[0]), 0.0)

@@ -99,8 +99,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     for name, part in parts:
         if "sampler_check" in part:
             yield Sentence(sampler_check(part["sampler_check"]), "aside", name)
-    if summary["kind"] == "compare" and summary["wear"] is not None and not shrinkage(summary):
-        yield from wear.blocks(summary, summary["wear"])
+    if summary["kind"] == "compare" and summary["wear"] is not None:
+        yield from wear.blocks(summary, summary["wear"], is_told=shrinkage(summary) is not None)
     yield aside(RINGING_EXPLAINED if is_ringing_alone(summary) else GAP_EXPLAINED)
     positions = play.of_positions(parts) if "ramps" in parts[0][1] else ()
     yield from map(aside, (*positions, *budget(summary), *not_answering(parts)))
@@ -423,9 +423,9 @@ def advice(summary: MeasuredSummary) -> Advice:
             ),
         )
     head = _verdict(summary, last)
-    if (why := shrinkage(summary)) is not None and head.tone != "act":
+    if shrinkage(summary) is not None and head.tone != "act":
         title = "Do not decide: are the files in order, or was the joint repaired?"
-        return Advice("watch", title, (why, *head.sentences))
+        head = Advice("watch", title, head.sentences)
     return replace(head, sentences=(*head.sentences, *_caveats(summary)))
 
 
@@ -494,13 +494,15 @@ def _why(summary: MeasuredSummary) -> str:
 def _caveats(summary: MeasuredSummary) -> Iterator[str]:
     if summary["kind"] == "compare":
         change, wear_summary = summary["change_rad"], summary["wear"]
-        if wear_summary is not None and wear_summary["reason"] is not None:
+        if (why := shrinkage(summary)) is not None:
+            yield why
+        elif wear_summary is not None and wear_summary["reason"] is not None:
             yield wear_summary["reason"]["text"]
         grown = change is not None and change["low"] > 0.0 and wear.other_cause(summary) is None
         if wear_summary is None and grown:
             yield (
-                "When the limit is reached needs dates: date = 2026-03-01 of each [[recordings]], "
-                "or --date for each."
+                "To learn how fast the gap grows, give dates: date = 2026-03-01 in each "
+                "[[recordings]], or --date for each."
             )
     if is_by_other_machine(summary):
         yield (

@@ -123,15 +123,21 @@ LAWS = {
 _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 
 
-def blocks(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) -> Iterator[Block]:
-    """Sentences and table of ``wear`` of a summary of a dated comparison."""
+def blocks(
+    summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary, *, is_told: bool = False
+) -> Iterator[Block]:
+    """Sentences and table of ``wear`` of a summary of a dated comparison.
+
+    ``is_told``: why there is no rate has been said.
+    """
     if spans_repair(summary, wear):
         yield Sentence(
             f'The joint was repaired before "{wear["snapshots"][0]}": the change from first to '
             "last spans the repair, and only the snapshots since then show how the joint wears."
         )
     if wear["reason"] is not None:
-        yield Sentence(wear["reason"]["text"], "warning", "No rate of wear")
+        if not is_told:
+            yield Sentence(wear["reason"]["text"], "warning", "No rate of wear")
         return
     yield from map(Sentence, sentences(wear, unless=unless(summary)))
     yield _table(wear)

@@ -66,10 +66,12 @@ BENCH_DRAWS = Group(
 
 
 def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
-    """Noise-free speed over one rotation at a few gaps, for the figures."""
+    """Noise-free speed over one rotation at a few gaps, from where the arm is level, for the
+    figures."""
     gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
+    level_rad = 0.5 * math.pi - bench.value("gravity_angle_rad")
     speeds = bench.simulate_many(
-        gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=0.5 * math.pi
+        gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=level_rad
     )
     time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
     return {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds}

@@ -145,6 +145,7 @@ def test_tolerances_are_relative_or_absolute(tmp_path: Path) -> None:
     [
         ("gear_ratio = {", "gear_rati = {", ["gear_rati", 'Did you mean "gear_ratio"?']),
         ("gear_ratio = {value = 120.0}", "", ["gear_ratio", "needs this parameter"]),
+        ("gravity_torque_nm = ", "# ", ["gravity_torque_nm", "0 for a vertical axis"]),
         (
             "gear_ratio = {value = 120.0}",
             "gear_ratio = 120.0",

@@ -402,6 +402,10 @@ def test_what_a_file_states_of_a_recording_holds_where_that_is_named_again(
     later = [date(2026, 8, 1), date(2026, 9, 1)]
     by_option = config_from_options("compare", ["before.csv", "after.csv"], base, later)
     assert [entry.date for entry in by_option.recordings] == later
+    other = folder / "other.csv"
+    other.touch()
+    undated = config_from_options("compare", ["before.csv", "other.csv"], base)
+    assert [entry.date for entry in undated.recordings] == [None, None]
     identified = config_from_options(
         "identify", ["before.csv", "after.csv"], base, bench=folder / "bench.toml"
     )

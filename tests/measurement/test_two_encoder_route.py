@@ -71,16 +71,17 @@ def test_a_joint_has_play_or_none_at_both_dates(tmp_path):
     assert -0.1 * growth < change["low"] < growth < change["high"] < 0.5 * plays[0]
 
 
-def test_two_bounds_leave_a_change_open_up_to_them(tmp_path):
+def test_no_change_is_told_between_recordings_that_show_no_play(tmp_path):
     """That play is unlikely is the prior's, and no evidence that nothing changed."""
     files = [write(tmp_path / f"{name}.csv", play=play) for name, play in (("a", 0.0), ("b", 1e-6))]
-    assert run("compare", *files, "--upright", "--out", tmp_path / "out") == 0
+    assert run("compare", *files, "--upright", "--out", tmp_path / "out") == 3
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    before, after = (part["delta_upper_bound_rad"] for part in summary["snapshots"])
-    change = summary["change_rad"]
-    assert -before < change["low"] < -0.5 * before
-    assert 0.5 * after < change["high"] < after
-    assert 0.2 < summary["probability_increase"] < 0.8
+    assert summary["change_rad"] is None
+    assert summary["probability_increase"] is None
+    assert summary["reason"]["code"] == "change_of_bounds"
+    after = summary["snapshots"][-1]["delta_upper_bound_rad"]
+    assert summary["reason"]["upper_rad"] == pytest.approx(after)
+    assert after < 1e-3
 
 
 def test_a_load_that_may_rest_on_one_flank_gets_no_bound_without_torque(tmp_path):

@@ -220,6 +220,12 @@ def test_a_change_is_named_by_where_its_interval_lies(low, high, told):
     assert "grew by" not in text
 
 
+def test_a_gap_that_shrank_is_said_first_and_nothing_is_decided():
+    summary = comparison(-2.81e-4, -2.12e-4, 0.0)
+    assert flat(printed(summary)).startswith("The gap shrank, and wear does not heal")
+    assert answer.advice(summary).title.startswith("Do not decide")
+
+
 def test_growth_by_ramps_is_told_under_the_condition_that_no_ramp_can_test():
     by_ramps = comparison()
     for snapshot in by_ramps["snapshots"]:

@@ -440,6 +440,13 @@ def forward_problem(
     """
     require_no_known_torque(task, "The forward comparison knows no torque from outside.")
     config, bench = task.config, task.bench
+    if len({entry.date for entry in config.recordings}) > 1:
+        raise ConfigError(
+            "The recordings of a diagnosis share one gap, which may differ between dates.",
+            where="[[recordings]]",
+            found=", ".join(f"{r.name}: {r.date or 'no date'}" for r in config.recordings),
+            expected="recordings of one date; diagnose each date by itself",
+        )
     channels = _channels(task)
     recordings = [unclipped(r, _unclipped(bench, r, channels)) for r in task.recordings]
     used: list[Observed] = []

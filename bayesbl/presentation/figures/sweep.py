@@ -214,7 +214,7 @@ def disturbance(tree: xr.DataTree) -> Figure:
     positive = figure.add_subplot(spec[0, 1], sharey=whole)
     negative = figure.add_subplot(spec[0, 2], sharey=whole)
     begin, length = pulse_view(tree)
-    # A quarter of a rotation from either end, where the load starts hanging level.
+    # A quarter of a rotation from either end, as the arm starts level.
     views = {positive: np.argmax(speeds[-1]), negative: np.argmin(speeds[-1])}
     for gap, speed, colour in zip(gaps, speeds, colours(len(gaps)), strict=True):
         label = f"δ = {1e3 * gap:.2f} mrad"
