@@ -166,7 +166,7 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
         drawn = new_figure(DOUBLE_COLUMN_IN, 0.9 + 0.2 * len(table))
         panel = drawn.add_subplot(grid(drawn, 1, 1, left=2.3, top=0.45, bottom=0.5)[0, 0])
         rows = np.arange(len(table))
-        shown = (("smallest_gap_mrad", "gap told from none"), ("smallest_wear_mrad", "wear shown"))
+        shown = (("smallest_gap_mrad", "gap reported"), ("smallest_wear_mrad", "growth detected"))
         for index, (key, label) in enumerate(shown):
             own = look(index)
             values = [float(line[key]) for line in table]
@@ -174,6 +174,9 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
         panel.set_yticks(rows, [str(line["name"]) for line in table])
         panel.invert_yaxis()
         panel.set_xscale("log")
+        ticks = (0.003, 0.005, 0.01, 0.02, 0.03)
+        panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        panel.set_xticks([], minor=True)
         panel.set_xlabel("Smallest in 95 % of pairs (mrad)")
         panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return drawn
