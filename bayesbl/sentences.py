@@ -131,7 +131,7 @@ def repeats_beyond_noise(
     """
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part = "the part that repeats every rotation"
-    look = f"`bayesbl diagnose` of {recording}, or of more of that date, looks for what is missing."
+    look = "`bayesbl diagnose` of recordings of one date looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
         part = "the residual"
@@ -707,8 +707,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "upright, or move it over the top and back."
     ),
     "change_of_bounds": (
-        "No recording shows play, so its change is unknown; the play cannot have grown by more "
-        "than the last bound of δ, {upper_rad:.3f mrad}."
+        "No recording shows play, so the change is unknown. With 95 % probability, the gap grew by "
+        "less than {upper_rad:.3f mrad}."
     ),
     "weight_unknown": (
         "These data do not show play for certain (probability of play {probability:.0f %}), nor "

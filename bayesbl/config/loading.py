@@ -292,7 +292,7 @@ class _Document:
         if self.kind == "bench":
             name = "bench.toml" if self.file is None else self.file.name
             raise self._wrong_kind(
-                "A bench describes a joint, and is no run of its own.",
+                "A bench file describes a joint; it cannot be run by itself.",
                 _in_words(self.kind),
                 f'a configuration that names it (bench = "{name}"), or recordings with '
                 f"--bench {shlex.quote(name)}",

@@ -47,7 +47,7 @@ CHANNELS = (MOTOR_POSITION, LOAD_POSITION)
 FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
 
 LIKELY = 0.5
-"""Probability from which something is told as a note."""
+"""Probability of play from which a recording shows it: more likely than not."""
 
 LASTING = 0.1
 """Misfit that lasts for a stroke over half the lost motion, from which it is told."""
@@ -64,8 +64,9 @@ HELD_BY_WEIGHT = 0.2
 turn with the direction."""
 
 RESTS = 1.0 / 3.0
-"""Probability that weight keeps a load on one flank, where neither a torque nor the user says. A
-judgement: two of the six axes of an arm bear its weight."""
+"""Probability that weight keeps a load on one flank, if wind-up is all that shows and neither a
+torque nor the user says. A judgement: as if weight kept one joint in five there, with even odds of
+play in the others."""
 
 SAME_RATIO = 0.1
 """ln of what a gear ratio differs from another by, that it may be."""

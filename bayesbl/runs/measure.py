@@ -81,14 +81,11 @@ def _expected(sds: Sequence[ExpectedSd], config: SnapshotConfig) -> str | None:
         return None
     level = config.interval.level
     times = 1e3 * normal_isf(0.5 * (1.0 - level))
-    gaps = [f"{1e3 * sd.gap_rad:g} mrad to ±{times * sd.delta_rad:.2g} mrad" for sd in sds]
-    text = (
-        f"if the bench is right, a gap is known with {100.0 * level:g} % probability: "
-        f"{', '.join(gaps)}"
-    )
+    gaps = [f"±{times * sd.delta_rad:.2g} mrad at {1e3 * sd.gap_rad:g} mrad" for sd in sds]
+    text = f"{100.0 * level:g} % intervals of the gap, if the bench is right: {', '.join(gaps)}"
     changes = [f"±{times * sd.change_rad:.2g}" for sd in sds if sd.change_rad is not None]
     if changes:
-        text += f"; a change at these gaps: to {', '.join(changes)} mrad"
+        text += f"; of a change at these gaps: {', '.join(changes)} mrad"
     return text
 
 
