@@ -7,6 +7,7 @@ guesses are written into a configuration for the user to confirm.
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections import Counter
@@ -79,7 +80,11 @@ _LOAD_TORQUE = "load torque"
 """Beside the channels: of ramps, the torque at the output takes the place of the motor's."""
 
 _FEWEST_JOINTS = 3
-"""Numbers in names that are alike but for them: two may be both sides of one joint."""
+"""Numbers in names that are alike but for them: two may be both sides of one joint, but for those
+of a message or of axes."""
+
+_AXIS = re.compile(r"(?<![^\W_])(?:[aj]\d|ax[ie]s|achse|actual_qd?|qd?_act)", re.IGNORECASE)
+"""As robots call an axis or its joint, logged behind the gearbox: ``A1``, ``actual_qd_0``."""
 
 _NUMBER = re.compile(r"\d+")
 _STEMS = frozenset(
@@ -108,6 +113,12 @@ NO_NAME = "enter the column of the motor's position and its unit; of its speed a
 
 COUNTS = 'it counts the samples: enter what lies between two of them, as "4 ms"'
 """Reason for a time that no name tells, in steps of one."""
+
+BEHIND = (
+    "by its name it is behind the gearbox: enter the gear ratio with its unit, as "
+    '"120 deg/s" or "120 deg" at a gear of 120; the unit alone if it is the motor\'s own'
+)
+"""Reason for a speed or a position of an axis."""
 
 OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
 """Reason for the torque of ramps that was measured at the other side of the gear."""
@@ -252,6 +263,13 @@ class _Named:
             return self.stamps is not None
         except RecordingError:
             return False
+
+    @property
+    def is_of_axis(self) -> bool:
+        """Whether its name says an axis, and nothing the motor; what is before a point is a drive's
+        part (axis0.encoder), and one in rpm its motor's."""
+        called = _AXIS.search(self.stated.bare.rpartition(".")[2]) is not None
+        return called and self.stated.unit != "rpm" and not self.is_called(_MOTOR)
 
     @property
     def is_flag(self) -> bool:
@@ -426,9 +444,10 @@ def _numbers_of_joints(names: Sequence[str]) -> list[str]:
         for name in names
     ]
     times = Counter(part for each in parts for part in each)
+    fewest = [_FEWEST_JOINTS - bool(_TOPIC.match(n) or "[" in n or _AXIS.search(n)) for n in names]
     return [
-        next((number for part, number in each.items() if times[part] >= _FEWEST_JOINTS), "")
-        for each in parts
+        next((number for part, number in each.items() if times[part] >= few), "")
+        for few, each in zip(fewest, parts, strict=True)
     ]
 
 
@@ -553,9 +572,12 @@ def _of_motor(
     values: Mapping[str, FloatArray],
 ) -> list[GuessedColumn]:
     """Needed is the speed, or the position where there is none; doubted is one that is slow
-    for a motor: what ROS calls a joint's velocity is one."""
+    for a motor: what ROS calls a joint's velocity is one. What an axis's name says is asked for."""
     main = MOTOR_SPEED if any(c.channel == MOTOR_SPEED for c in columns) else MOTOR_POSITION
     columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
+    for channel in {MOTOR_SPEED, MOTOR_POSITION} & chosen.keys():
+        if chosen[channel].is_of_axis:
+            columns = _changed(columns, channel, unit=UNKNOWN, reason=BEHIND, sure=True)
     sized = {
         column.channel: conversion_factor(column.channel, column.unit) * values[column.channel]
         for column in columns
@@ -730,15 +752,16 @@ def _units(
         return units
     if MOTOR_POSITION in values:
         seconds = conversion_factor(TIME, unit) * values[TIME]
-        units |= _of_position(chosen, seconds, values[MOTOR_SPEED])
+        units |= _of_position(chosen, unit, seconds, values[MOTOR_SPEED])
     speed = _stated(MOTOR_SPEED, chosen[MOTOR_SPEED], units).unit
     return units if speed == UNKNOWN else units | {REFERENCE_SPEED: (speed, AS_SPEED)}
 
 
 def _of_position(
-    chosen: Mapping[str, _Named], seconds: FloatArray, speed: FloatArray
+    chosen: Mapping[str, _Named], time: str, seconds: FloatArray, speed: FloatArray
 ) -> dict[str, tuple[str, str]]:
-    """Units in which the position's derivative is the speed, both of shape (n,).
+    """Units in which the position's derivative is the speed, both of shape (n,); in units that the
+    file states, whether the time's, a guess, is off by a power of ten.
 
     None where several pairs agree alike: turns and turns per second do where rad and rad/s do.
     """
@@ -753,8 +776,14 @@ def _of_position(
     for mine, theirs in units:
         size = conversion_factor(MOTOR_SPEED, mine)
         angle = conversion_factor(MOTOR_POSITION, theirs)
-        if abs(abs(rate) * angle * RPM_PER_RAD_PER_S / size - 1.0) <= _AGREEMENT:
+        longer = abs(rate) * angle * RPM_PER_RAD_PER_S / size
+        if abs(longer - 1.0) <= _AGREEMENT:
             by_span.setdefault((size, angle), (mine, theirs))
+        elif len(units) == 1 and time != "datetime" and explained >= _IS_INTEGRAL:
+            tens = 10.0 ** round(math.log10(longer))
+            if abs(longer / tens - 1.0) <= _AGREEMENT:
+                asked = f'enter its unit: speed and position agree in "{tens:g} {time}", not {time}'
+                return {TIME: (UNKNOWN, asked)}
     pairs = [pair for (size, _), pair in by_span.items() if size * mean <= _USUAL_SPEEDS_RPM[1]]
     if explained < _IS_INTEGRAL or not pairs:
         asked = "enter its unit, as it is the position's derivative in none: "

@@ -14,7 +14,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording import text_table
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.columns import stamps_and_values
-from bayesbl.recording.guessing import UNKNOWN, guess_columns
+from bayesbl.recording.guessing import UNKNOWN, GuessedColumn, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
 from bayesbl.runs.first_configuration import start_config
@@ -490,7 +490,7 @@ STATED = {
 PLACES = ("{n} [{u}]", "{n}({u})", "{n} <{u}>", "{n} / {u}", "{n}/{u}", "{n}, {u}", "{n} in {u}")
 
 
-@pytest.mark.parametrize("place", [*PLACES, "{n} {u}", "{n}_{u}", "axis_2 {n}:{u}", "below"])
+@pytest.mark.parametrize("place", [*PLACES, "{n} {u}", "{n}_{u}", "drive_2 {n}:{u}", "below"])
 @pytest.mark.parametrize("channel", STATED)
 def test_a_stated_unit_wins_wherever_it_stands(channel: str, place: str, tmp_path: Path) -> None:
     word, factor, units = STATED[channel]
@@ -1582,3 +1582,55 @@ def test_dates_in_digits_are_no_milliseconds(tmp_path: Path) -> None:
     time = guess_columns(read_table(path)).columns[0]
     assert time.unit == UNKNOWN
     assert "2026-03-14T08:12:33" in time.reason
+
+
+# Names that tell a side, joints of one message, and clocks that the other columns contradict
+
+
+def guess_of(tmp_path: Path, content: str, joint: str | None = None) -> dict[str, GuessedColumn]:
+    path = tmp_path / "a.txt"
+    path.write_text(content)
+    return {c.channel: c for c in guess_columns(read_table(path), joint).columns}
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["A1 speed [deg/s]", "J1 velocity (deg/s)", "qd_actual_0 [rad/s]", "actual_qd_0", "axis_pos"],
+)
+def test_what_robots_log_of_an_axis_is_not_silently_the_motors(tmp_path: Path, name: str) -> None:
+    for called, is_asked in ((name, True), (f"motor {name}", False)):
+        (found,) = (c for c in guess_of(tmp_path, text(rows(), f"time_s,{called}")).values()
+                    if c.channel != "time_s")  # fmt: skip
+        assert ("behind the gearbox" in found.reason) == is_asked
+        assert found.is_open or not is_asked
+    position = [f"{row},{t}" for row, t in zip(rows(), TIME, strict=True)]
+    beside = guess_of(tmp_path, text(position, "time_s,motor speed [rpm],A1 position [deg]"))
+    assert beside["motor_position_rad"].is_spare
+
+
+@pytest.mark.parametrize(
+    "names", ["field.velocity0,field.velocity1", "velocity[0],velocity[1]", "j1_speed,j2_speed"]
+)
+def test_which_of_two_joints_in_a_message_is_asked(tmp_path: Path, names: str) -> None:
+    content = text([f"{row},{2 * n}" for row, (_, n) in zip(rows(), PAIRS, strict=True)],
+                   f"time_s,{names}")  # fmt: skip
+    with pytest.raises(RecordingError) as refused:
+        guess_of(tmp_path, content)
+    options = str(refused.value.found).split(", ")
+    for option, name in zip(options, names.split(","), strict=True):
+        assert guess_of(tmp_path, content, option)["motor_speed_rpm"].name == name
+
+
+@pytest.mark.parametrize("tick", [1e-4, 1e-3, 1e-2])
+def test_a_clocks_unit_that_speed_and_position_contradict_is_asked(
+    tmp_path: Path, tick: float
+) -> None:
+    angle = np.cumsum(SPEED) * 6.0 * 0.001
+    steps = [f"{round(1e-2 / tick) * i},{n},{a}" for i, (n, a) in enumerate(
+        zip(SPEED, 10.0 * angle, strict=True))]  # fmt: skip
+    time = guess_of(tmp_path, text(steps, "time,motor speed [rpm],motor position [deg]"))["time_s"]
+    if tick != 1e-3:
+        assert time.unit == UNKNOWN
+        assert f'"{1e3 * tick:g} ms"' in time.reason or "Hz in" in time.reason
+    else:
+        assert time.unit == "ms"
