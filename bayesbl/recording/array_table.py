@@ -108,6 +108,9 @@ _STAMP = re.compile(
     r"(\d{1,2}):(\d{2})(?:(?<=\d[T ]\d\d:\d\d)|:(\d{2})(?:[.,:;](\d{1,9}))?)"
     r"\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
 )
+_COMPACT = re.compile(r"(\d{4})([-_.]?)(\d\d)\2(\d\d)[T_](\d\d)([-:]?)(\d\d)\6(\d\d)(?!\d)")
+"""As names of files and ISO's basic form have it: ``20261130T083000``, ``2026-11-30_08-30-00``."""
+
 _DAY_S = 86400
 _MILLISECONDS = re.compile(r"(?:^|[\W_])(?:ms|msecs?|milli[a-z]*)$", re.IGNORECASE)
 
@@ -121,6 +124,7 @@ _NAMED_MONTH = re.compile(
 
 def _stamp(text: str) -> re.Match[str] | None:
     """A date or time of day; a month may have a name: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
+    text = _COMPACT.sub(r"\1-\3-\4T\5:\7:\8", text)
     named = _NAMED_MONTH.match(text)
     if named and bool(named[1]) != bool(named[3]):
         month = _OTHER_MONTHS.get(named[2].lower(), named[2].lower())
@@ -132,7 +136,7 @@ def _stamp(text: str) -> re.Match[str] | None:
 
 def is_date(text: str) -> bool:
     """Whether the text is a date or a time of day, and not a number (20260301)."""
-    return ":" in text and _stamp(text.strip()) is not None
+    return any(mark in text for mark in ":T_") and _stamp(text.strip()) is not None
 
 
 def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str]) -> FloatArray:

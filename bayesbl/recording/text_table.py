@@ -611,42 +611,87 @@ _FORMS = tuple(
 _VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
 _KEY = re.compile(r"tag|name|signal|variable|field|joint|axis|achse|motor_?id|node", re.IGNORECASE)
 _MOST_NAMES = 64
+TIMES = 13.0
+"""Times its size that a log or an export of Scope takes, whose cells are texts at first."""
+
+_LONGEST_EVENT = 1000
 _ALIKE = 0.8
 """Share of the first lines that are events, from which the text is a log of them."""
 
 
-def form_of_events(lines: Sequence[str]) -> re.Pattern[str] | None:
-    """How most lines write an event, if they do; a name is wanted where a line may be a table's."""
-    written = [line for line in lines if line.strip()]
+_AHEAD = (
+    ("clock", re.compile(rf"{_DATE}|\d\d:\d\d:\d\d[.,]\d+")),
+    ("clock [ms]", re.compile(r"(?<=[A-Z] \()\d+(?=\))")),
+)
+"""Date, and milliseconds since a controller began, in front of pairs."""
+
+_PAIR = re.compile(
+    r"(?<![^\s,;|])([^\W\d][^\s:=,;|]*)\s*[:=]\s*"
+    r"([+-]?\d[\d.]*(?:[eE][+-]?\d+)?(?:\s?[^\W\d][^\s,;|:=]*(?!\s*[:=]))?)"
+    r"(?=[\s,;|]|$)[\s,;|]*"
+)
+_CAN = re.compile(
+    r"\s*(?:\(\S+\)\s+)?\w*can\d+\s+[0-9A-F]+(?:#|\s+\[\d+\])"
+    r"|\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s",
+    re.IGNORECASE,
+)
+"""A frame, as candump and Vector's tools write it."""
+
+
+def in_cells(file: Path, text: bytes, head: Sequence[str]) -> ArrayTable | None:
+    """A text whose lines name their values, as a table: of events, or of pairs of name and value.
+
+    ::
+
+        [12:30:01.123] I (1234) motor: vel=12.3, cur=0.4
+
+    Raises
+    ------
+    RecordingError
+        If it is a log of raw frames.
+    """
+    written = [line for line in head if line.strip()]
+    if 2 * sum(_CAN.match(line) is not None for line in written) > max(2, len(written)):
+        raise RecordingError(
+            "This is a log of raw CAN frames.",
+            file=file,
+            found="frames without the names, scales and units of what is in them",
+            expected="its signals as CSV: decode it with the DBC file, in the tool that made it or "
+            "by asammdf, whose extract_bus_logging takes an MDF of the frames and the DBC",
+        )
     may_be_table = any(len(line.split()) > 3 for line in written)
-    for form in _FORMS[:-1] if may_be_table else _FORMS:
-        if sum(_event(form, line) is not None for line in written) >= max(2, _ALIKE * len(written)):
-            return form
+    for form in (None, *(_FORMS[:-1] if may_be_table else _FORMS)):
+        rows = [row for line in written if (row := _row(form, line))]
+        names, count = Counter(map(tuple, rows)).most_common(1)[0] if rows else ((), 0)
+        if len(names) < 2 or count < max(2, _ALIKE * len(written)):
+            continue
+        require_memory(file, TIMES * len(text), "events")
+        read = ((_row(form, line), line) for line in lines_of(text))
+        cells = [
+            [*r.values()] if tuple(r) == names else ["-"[: len(line.strip())]] for r, line in read
+        ]
+        units = tuple(_unit_of(file, cells, column) for column in range(len(names)))
+        layout = Layout("\t", names, units=units)
+        return table_of_text(file, "\n".join(map("\t".join, cells)).encode(), layout)
     return None
 
 
-def _event(form: re.Pattern[str], line: str) -> tuple[str, str, float] | None:
-    """Stamp, name and value of a line; ``None`` if it is no event."""
-    match = form.fullmatch(line.strip())
-    value = number_in(match["value"], ".") if match else None
-    if match is None or value is None:
-        return None
-    return match["stamp"].strip("()"), match["name"] or "value", value
-
-
-def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> ArrayTable:
-    """A column for each name, over all stamps from the first at which every name has a value.
-
-    Names of fewer than two values are left out; so are lines that are no events, and are counted.
-    """
-    by_line = {n: _event(form, line) for n, line in enumerate(lines, 1) if line.strip()}
-    events = {n: event for n, event in by_line.items() if event is not None}
-    repairs = Counter({"line that is no event left out": len(by_line) - len(events)})
-    stamps, names, values = map(np.array, zip(*events.values(), strict=True))
-    table = ArrayTable(str(file), {"stamp": stamps}, {}, {}, {}, repairs, np.array([*events]))
-    time = table.timestamps("stamp")
-    time = stamps.astype(float) if time is None else time
-    return _of_events(table, "time_s", time - time.min(), names, {"": values})
+def _row(form: re.Pattern[str] | None, line: str) -> dict[str, str]:
+    """Names to values of a line: of an event, or without a form of pairs; empty if it is none."""
+    line = line.strip()
+    if len(line) > _LONGEST_EVENT:
+        return {}
+    if form is None:
+        first = _PAIR.search(line)
+        if first is None or _PAIR.sub("", line[first.start() :]):
+            return {}
+        ahead = ((name, of.search(line[: first.start()])) for name, of in _AHEAD)
+        return dict(_PAIR.findall(line)) | {name: found[0] for name, found in ahead if found}
+    match = form.fullmatch(line)
+    if match is None or number_in(match["value"], ".") is None:
+        return {}
+    name = {"name": match["name"]} if match["name"] else {}
+    return {"time_s": match["stamp"].strip("()"), **name, "value": match["value"]}
 
 
 def in_columns(table: ArrayTable) -> ArrayTable:

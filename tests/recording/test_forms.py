@@ -851,7 +851,7 @@ def test_an_event_log_of_two_positions_is_held_until_the_next_event(tmp_path: Pa
     np.testing.assert_allclose(read.channels["motor_position_rad"], np.deg2rad(steps))
     (note,) = (n for n in read.notes if "Put right" in n)
     assert f"{COUNT // 2} × value of an event log" in note
-    assert "1 × line that is no event" in note
+    assert "1 × line of text left out" in note
 
 
 def test_an_event_log_of_one_value_has_its_stamps_in_two_cells(tmp_path: Path) -> None:
@@ -1634,3 +1634,63 @@ def test_a_clocks_unit_that_speed_and_position_contradict_is_asked(
         assert f'"{1e3 * tick:g} ms"' in time.reason or "Hz in" in time.reason
     else:
         assert time.unit == "ms"
+
+
+@pytest.mark.parametrize(
+    "form", ["20260301T{:%H%M%S.%f}", "2026-03-01_{:%H-%M-%S.%f}", "20260301_{:%H%M%S.%f}"]
+)
+def test_dates_without_marks_are_dates(tmp_path: Path, form: str) -> None:
+    start = np.datetime64("2026-03-01T12:00:59.700", "us")
+    stamps = [(start + np.timedelta64(1000 * i, "us")).item() for i in range(COUNT)]
+    lines = [f"{form.format(stamp)},{n}" for stamp, n in zip(stamps, SPEED, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text(text(lines, "time,motor_speed_rpm"))
+    read = read_recording(path, columns={"time_s": ColumnSpec("time")})
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("form", "clock_name"),
+    [
+        ("t:{ms} vel:{n} cur:0.4", "t"),
+        ("t={ms},vel={n},pos=-1.5e-3", "t"),
+        ("Time: {ms} Velocity: {n}", "Time"),
+        ("t = {ms}, vel = {n} rpm, cur = 0.4 A", "t"),
+        ("[12:30:00.{ms:03d}] I ({ms}) motor: vel={n} cur=0.4", "clock"),
+        ("I ({ms}) motor: vel={n} rpm, cur=0.4 A", "clock [ms]"),
+        ("12:30:00.{ms:03d} -> vel:{n} cur:0.4", "clock"),
+    ],
+)
+def test_a_serial_log_of_names_and_values_is_read_as_written(
+    tmp_path: Path, form: str, clock_name: str
+) -> None:
+    lines = [form.format(ms=i, n=n) for i, (_, n) in enumerate(PAIRS)]
+    path = tmp_path / "serial.log"
+    path.write_text("\n".join(["ets Jun  8 2016 00:22:57", *lines, lines[0][:8]]))
+    table = read_table(path)
+    assert table.place(0, "vel").startswith("line 2,")
+    speed = next(name for name in table.columns if name.lower().startswith("vel"))
+    unit = None if clock_name == "clock" else "ms"
+    columns = {"time_s": ColumnSpec(clock_name, unit), "motor_speed_rpm": ColumnSpec(speed, "rpm")}
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+    found = guess_columns(table).columns
+    assert [c.name for c in found[:2]] == [clock_name, speed]
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "({t:.6f}) can0 123#{n:08X}",
+        " ({t:.6f})  can0  123   [4]  10 20 30 40",
+        "  can0  123   [4]  10 20 30 40",
+        "   {t:.6f} 1  18FF0203x       Rx   d 4 10 20 30 40",
+    ],
+)
+def test_raw_frames_are_no_table_and_said_to_need_their_dbc(tmp_path: Path, form: str) -> None:
+    path = tmp_path / "can.asc"
+    lines = [form.format(t=1436509052.25 + t, n=i) for i, t in enumerate(TIME)]
+    path.write_text("\n".join(["date Mon Nov 30 08:30:00.000 am 2026", "base hex", *lines]))
+    with pytest.raises(RecordingError, match=r"raw CAN frames.*DBC"):
+        read_table(path)

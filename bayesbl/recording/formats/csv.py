@@ -13,12 +13,12 @@ from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_e
 from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.text_table import (
     EXPECTED,
-    form_of_events,
+    TIMES,
+    in_cells,
     in_columns,
     layout_of,
     lines_of,
     middle_of,
-    read_events,
     table_of_text,
 )
 
@@ -36,9 +36,6 @@ _KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
 
 _HEAD_LINES = 400
 _LONGEST_LINE = 4_000_000
-
-_TIMES = 13.0
-"""Times its size that an export of Scope or a log takes, whose cells are texts at first."""
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
@@ -60,13 +57,12 @@ def read(file: Path, data: bytes) -> ArrayTable:
     text, control = _in_utf8(file, data)
     head = list(islice(lines_of(text), _HEAD_LINES))
     if is_scope_export("\n".join(head)):
-        require_memory(file, _TIMES * len(data), "cells of text")
+        require_memory(file, TIMES * len(data), "cells of text")
         return read_scope_export(file, list(lines_of(text)))
-    if form := form_of_events(head):
-        require_memory(file, _TIMES * len(data), "events")
-        return read_events(file, lines_of(text), form)
-    layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
-    return in_columns(table_of_text(file, text, layout, control))
+    if (table := in_cells(file, text, head)) is None:
+        layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
+        table = table_of_text(file, text, layout, control)
+    return in_columns(table)
 
 
 def _in_utf8(file: Path, data: bytes) -> tuple[bytes, int]:

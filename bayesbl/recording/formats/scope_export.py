@@ -11,16 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bayesbl.errors import RecordingError, shortened
-from bayesbl.recording.array_table import ArrayTable, number_in, numbered
+from bayesbl.recording.array_table import ArrayTable, is_number, number_in, numbered
 from bayesbl.recording.channels import TIME
 from bayesbl.recording.text_table import Layout, table_of_text
 
 _SEPARATORS = "\t;,"
-_KEYS = (
-    "Name", "SymbolComment", "Data-Type", "SampleTime[ms]", "SampleTime", "VariableSize",
-    "SymbolBased", "IndexGroup", "IndexOffset", "SymbolName", "NetID", "NetId", "Port", "Offset",
-    "ScaleFactor", "BitMask", "Unit", "Unit ScaleFactor", "Unit Offset",
-)  # fmt: skip
 _SCALES = {"Offset": 0.0, "ScaleFactor": 1.0, "Unit Offset": 0.0, "Unit ScaleFactor": 1.0}
 """What leaves a value as it is. Whether the export scaled it is not in the file."""
 
@@ -29,7 +24,7 @@ _KNOWN_LINE = re.compile(
     rf"^(?:Starttime of export|Data-Type|SampleTime(?:\[ms\])?|SymbolName)[{_SEPARATORS}]", re.M
 )
 _LONGEST_HEADER = 500
-"""Lines in which the last line about channels is looked for; comments may go over several."""
+"""Lines in which the first sample is looked for; comments may go over several."""
 
 _FILETIME = 1e15
 """A time from here on is a Windows date in units of 100 ns, not a count of ms."""
@@ -51,20 +46,20 @@ def read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
 
     separator = lines[0][4]
     head = [[cell.strip() for cell in line.split(separator)] for line in lines[:_LONGEST_HEADER]]
-    about = [i for i, cells in enumerate(head) if cells[0] in _KEYS]
-    known = {head[i][0]: head[i] for i in about}  # the later "Name" is the channels'
+    above = next((i for i, cells in enumerate(head) if is_number(cells[0])), len(head))
+    known = {cells[0]: cells for cells in head[:above]}  # the later "Name" is the channels'
     starts = [i for i, cell in enumerate(known["Name"]) if cell == "Name"]
     width = len(known["Name"])
     if width < 2 or not any(b - a > 1 for a, b in zip(starts, [*starts[1:], width], strict=True)):
         raise RecordingError(
             "This export of TwinCAT Scope has no channels.",
             file=file,
-            where=f"line {about[-1] + 1}",
+            where=f"line {above}",
             found=shortened(", ".join(known["Name"])),
             expected="a line of channels' names with a column of times before each group",
         )
-    body = [*[""] * (about[-1] + 1), *_padded(lines[about[-1] + 1 :], separator, width)]
-    first = number_in(body[about[-1] + 1].partition(separator)[0], ".") if body[-1] else None
+    body = [*[""] * above, *_padded(lines[above:], separator, width)]
+    first = number_in(body[above].partition(separator)[0], ".") if len(body) > above else None
     time = "100 ns" if first is not None and first >= _FILETIME else "ms"
     names = numbered([TIME if i in starts else name for i, name in enumerate(known["Name"])])
     units = [time if i in starts else _unit(known, i) for i in range(width)]
