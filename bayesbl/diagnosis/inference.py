@@ -21,7 +21,7 @@ from scipy.optimize import lsq_linear
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned import LearnedTerm, Variable
+from bayesbl.bench.learned import LearnedTerm, Variable, waves_over
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.diagnosis.diagnosis import (
     CURVE_POINTS,
@@ -222,60 +222,51 @@ def candidate_of(
     return replace(by_law, **other)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Series:
     """A torque over a variable, its amplitudes falling as 1/k.
 
-    Attributes
-    ----------
-    means
-        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
-        is an effect's.
-    reach
-        Of the variable, as recorded.
+    ``reach``: of the variable, as recorded.
     """
 
     variable: Variable
     period: float
     reverses: bool
     orders: int
-    means: FloatArray
     reach: tuple[float, float]
-
-    @classmethod
-    def over(
-        cls,
-        variable: Variable,
-        period: float,
-        *,
-        reverses: bool,
-        orders: int,
-        reach: tuple[float, float],
-    ) -> Series:
-        """With the means over this reach of its variable."""
-        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
-        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
-        return replace(made, means=made.waves(x).mean(axis=0))
 
     @property
     def kind(self) -> str:
         """What it is a torque over."""
         return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
 
+    @cached_property
+    def _decay(self) -> FloatArray:
+        """Of the amplitudes, cosines and sines, (2 orders,)."""
+        return np.tile(1.0 / np.arange(1, self.orders + 1), 2)
+
+    @cached_property
+    def means(self) -> FloatArray:
+        """Of the waves over what was recorded, which are taken off, (2 orders,): the mean is an
+        effect's."""
+        low, high = self.reach
+        x = np.linspace(low, min(high, low + self.period), 1000)
+        return np.asarray(self._waves(x).mean(axis=0))
+
+    def _waves(self, x: FloatArray) -> FloatArray:
+        return np.hstack(waves_over(x, self.period, self.orders)) * self._decay
+
     def waves(self, x: FloatArray) -> FloatArray:
         """Cosines, then sines, less their means, (n, 2 orders)."""
-        k = np.arange(1, self.orders + 1)
-        phase = 2.0 * math.pi * x[:, None] * k / self.period
-        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
+        return self._waves(x) - self.means
 
     def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTerm:
         """With coefficients of the waves, (2 orders,), and their standard deviations."""
-        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
-        waves = coefficients * decay
+        waves = coefficients * self._decay
         sd: tuple[float, ...] = ()
         if sds is not None:
             constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
-            sd = (constant, *(sds * decay).tolist())
+            sd = (constant, *(sds * self._decay).tolist())
         return LearnedTerm(
             "motor",
             self.variable,
@@ -606,17 +597,8 @@ class Inference:
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
         linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
         self.posterior = search(linearised, MOST_TERMS)
-        generator = np.random.default_rng(0)
-        draws = self.posterior.draw(generator, DRAWS)
-        scale = np.sqrt((jacobian**2).sum(axis=0))
-        scale = np.where(scale > 0.0, scale, 1.0)
-        precision = (jacobian / scale).T @ (jacobian / scale) + prior / np.outer(scale, scale)
-        values, vectors = np.linalg.eigh(precision)
-        kept = values > 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
-        root = vectors[:, kept] / np.sqrt(values[kept])
-        centre = root @ (root.T @ ((jacobian / scale).T @ residual))
-        noise = generator.standard_normal((DRAWS, int(kept.sum()))) @ root.T
-        self.nuisance_draws = (centre + noise) / scale + draws.shift
+        draws = self.posterior.draw(np.random.default_rng(0), DRAWS)
+        self.nuisance_draws = draws.fitted
         self.discrepancy_draws = draws.discrepancy
 
     # What is asked of it

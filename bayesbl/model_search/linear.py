@@ -216,11 +216,13 @@ class Model:
 @dataclass(frozen=True, slots=True, eq=False)
 class Draws:
     """(n, c) sizes in usual ones of all columns of all terms, (n, m) of the discrepancy's columns
-    as the caller scaled them, (n, d) what both move the fitted parameters by."""
+    as the caller scaled them, (n, d) what both move the fitted parameters by, and (n, d) u itself,
+    as the linearisation has it."""
 
     sizes: FloatArray
     discrepancy: FloatArray
     shift: FloatArray
+    fitted: FloatArray
 
 
 def orthant(
@@ -280,12 +282,18 @@ def orthant(
 def _factor(gram: FloatArray) -> tuple[FloatArray, float]:
     """A⁻¹ of a positive semidefinite matrix of columns in any unit, and ln |A|; of directions
     without data 0."""
+    root, log_det = _inverse_root(gram)
+    return np.asarray(root @ root.T), log_det
+
+
+def _inverse_root(gram: FloatArray) -> tuple[FloatArray, float]:
+    """R of R Rᵀ = A⁻¹, (n, rank), and ln |A|."""
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > 1e-12 * max(1.0, float(values[-1]) if values.size else 1.0)
     part = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
     log_det = float(np.log(values[kept]).sum()) + 2.0 * float(np.log(scale).sum())
-    return np.asarray(part @ part.T), log_det
+    return np.asarray(part), log_det
 
 
 def _root(matrix: np.ndarray) -> FloatArray:
@@ -382,7 +390,8 @@ class _Grams:
         self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
         alone = self.base((0,) * len(view.scaled))
         gram_u = alone.nuisance_gram[: self.d, : self.d]
-        self.inverse_u, _ = _factor(gram_u)
+        self.root_u, _ = _inverse_root(gram_u)
+        self.inverse_u = self.root_u @ self.root_u.T
         self.pull_u = alone.nuisance_pull[: self.d]
         chi_square = alone.squares - float(self.pull_u @ self.inverse_u @ self.pull_u)
         effective = float(np.sum(self.inverse_u * (gram_u - view.prior_precision)))
@@ -846,7 +855,10 @@ class ModelPosterior:
             centre = (base.nuisance_pull[: grams.d] - signal) @ inverse_u
             shift[rows] = centre + wider @ vectors.T - unshifted
         order = generator.permutation(n)
-        return Draws(sizes[order], h[order] * grams.scale_of_column, shift[order])
+        shift = shift[order]
+        noise = generator.standard_normal((n, grams.root_u.shape[1]))
+        fitted = unshifted + noise @ grams.root_u.T + shift
+        return Draws(sizes[order], h[order] * grams.scale_of_column, shift, fitted)
 
 
 def confounded(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -281,12 +281,11 @@ class FreeMotionView:
         ]
         angle = np.concatenate([s[MOTOR_ANGLE] for s in states]) / ratio
         speed = np.concatenate([s[MOTOR_SPEED] for s in states])
-        over = partial(Series.over, orders=ORDERS)
+        way, fastest = 2.0 * float(np.ptp(angle)), 4.0 * float(np.abs(speed).max())
         ends = [(float(x.min()), float(x.max())) for x in (angle, speed)]
         for reverses in (False, True):
-            way, fastest = 2.0 * float(np.ptp(angle)), 4.0 * float(np.abs(speed).max())
-            yield over("load_angle", way, reach=ends[0], reverses=reverses)
-            yield over("motor_speed", fastest, reach=ends[1], reverses=reverses)
+            yield Series("load_angle", way, reverses, ORDERS, ends[0])
+            yield Series("motor_speed", fastest, reverses, ORDERS, ends[1])
 
     def _waves(self, at: FloatArray, series: Series) -> FloatArray:
         """Change of the trajectories by each coefficient of a torque, (N, 2 orders)."""

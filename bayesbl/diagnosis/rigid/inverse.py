@@ -505,9 +505,7 @@ class InverseView:
                 ]
             )
             reach = (float(every.min()), float(every.max()))
-            series = Series.over(
-                variable, period, reverses=reverses, orders=LEARNED_HARMONICS, reach=reach
-            )
+            series = Series(variable, period, reverses, LEARNED_HARMONICS, reach)
 
             def columns(motion: Motion, series: Series = series) -> FloatArray:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
