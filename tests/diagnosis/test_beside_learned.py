@@ -64,7 +64,8 @@ def test_a_law_behind_one_that_no_catalogue_has_is_named_beside_it(
         believed, hidden, rng, gap_rad=(gap_rad, gap_rad), speeds_rpm=SPEEDS_RPM
     )
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
-    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen[:-1])]
+    unknowns = [gap_unknown(1e-4, 4e-3, s.name) for s in seen[:-1]]
+    unknowns += [start_angle_unknown(s.name) for s in seen[:-1]]
     found = search(bench, seen[:-1], seen[-1:], unknowns)
     assert found.learned is not None
     assert found.learned.term.variable == learned_over
