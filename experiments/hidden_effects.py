@@ -324,7 +324,7 @@ def _strong(name: str, strength: float) -> dict[str, float]:
 def _diagnosed(hidden: Hidden, made: Sequence[Made], generator: np.random.Generator) -> Findings:
     bench = reference_bench()
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
-    unknowns = [gap_unknown(*GAP_RANGE_RAD)]
+    unknowns = [gap_unknown(*GAP_RANGE_RAD, item.recording.name) for item in made[:-1]]
     angle_known = "gravity_phase" in hidden.names
     for item in made[:-1]:
         name, angle = item.recording.name, item.truth.start_angle_rad
@@ -376,13 +376,13 @@ def _sampled(
     """The posterior of the gap by emcee beside the Laplace approximation, of the chosen bench."""
     if diagnosis.delta_after is None:
         return {}
-    laplace = found.final.fit
+    laplace, first = found.final.fit, found.final.fit.model.recordings[0].name
     posterior = sample_direct(found.final.fit, SamplerSettings(), seed)
-    log_gap = np.log(posterior.values(GAP))
+    log_gap = np.log(posterior.values(GAP, first))
     return {
-        "sampled_shift_sd": (float(log_gap.mean()) - math.log(laplace.value(GAP)))
-        / laplace.sd(GAP),
-        "sampled_sd_ratio": float(log_gap.std()) / laplace.sd(GAP),
+        "sampled_shift_sd": (float(log_gap.mean()) - math.log(laplace.value(GAP, first)))
+        / laplace.sd(GAP, first),
+        "sampled_sd_ratio": float(log_gap.std()) / laplace.sd(GAP, first),
     }
 
 

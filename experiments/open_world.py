@@ -141,7 +141,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     begin = time.perf_counter()
     bench = reference_bench()
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
-    unknowns = [gap_unknown(*GAP_RANGE_RAD)]
+    unknowns = [gap_unknown(*GAP_RANGE_RAD, m.recording.name) for m in made[:-1]]
     unknowns += [start_angle_unknown(m.recording.name) for m in made[:-1]]
     found = search(bench, seen[:-1], seen[-1:], unknowns)
     diagnosis = diagnosis_of(found)

@@ -146,7 +146,8 @@ def _diagnosed(
     seed: np.random.SeedSequence,
 ) -> dict[str, float]:
     seen = [observed(r, bench, s) for r, s in zip(recordings, speeds, strict=True)]
-    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen)]
+    unknowns = [gap_unknown(1e-4, 4e-3, s.name) for s in seen]
+    unknowns += [start_angle_unknown(s.name) for s in seen]
     found = search(bench, seen, (), unknowns)
     answer = diagnosis_of(found)
     delta = answer.delta_after

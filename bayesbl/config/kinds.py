@@ -564,13 +564,6 @@ class IdentifyConfig(RecordedConfig):
                 found="no recordings" if not self.recordings else 'use = "hold_out" in all',
                 expected='[[recordings]] with use = "fit", best at two speeds in both directions',
             )
-        held = [recording.name for recording in self.recordings if recording.use == "hold_out"]
-        if held and not self.shares_gap:
-            refuse(
-                "A recording that is held out is predicted with the gap of the others.",
-                found=f"{', '.join(held)} held out, and dates that differ",
-                expected='one date for all recordings, or use = "fit"',
-            )
 
 
 KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(

@@ -144,8 +144,11 @@ class Diagnosis:
         All that was compared.
     bench_parameters
         Declared unknown ones, fitted.
-    delta_before, delta_after
-        δ (rad) with the bench as believed and with what was named; ``None`` of a rigid bench, or
+    delta_before
+        δ (rad) of the first recording that was fitted, with the bench as believed; ``None`` of a
+        rigid bench.
+    gaps
+        δ (rad) with what was named, of every recording that was fitted; empty of a rigid bench, or
         where it is withheld.
     gap_withheld
         Why no gap is given; empty where one is, or nothing is asked of it.
@@ -163,12 +166,17 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     bench_parameters: Mapping[str, Estimate] = field(default_factory=dict)
     delta_before: Estimate | None = None
-    delta_after: Estimate | None = None
+    gaps: Mapping[str, Estimate] = field(default_factory=dict)
     gap_withheld: str = ""
     suggestion: Suggestion | None = None
     posterior: DirectPosterior | None = None
     augmented_bench: Bench | None = None
     learned: LearnedAnswer | None = None
+
+    @property
+    def delta_after(self) -> Estimate | None:
+        """δ (rad) of the first recording, as ``delta_before``, with what was named."""
+        return next(iter(self.gaps.values()), None)
 
     @property
     def disagreement(self) -> DisagreementTableSummary:

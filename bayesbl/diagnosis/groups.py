@@ -133,6 +133,7 @@ class Answer(TypedDict):
     disagreement: DisagreementTableSummary
     delta_rad_before: Interval | None
     delta_rad_after: Interval | None
+    gaps: NotRequired[dict[str, Interval]]
     gap_withheld: NotRequired[str]
     suggested_recording: SuggestedRecording | None
     augmented_bench: NotRequired[str]
@@ -164,6 +165,8 @@ def answer_of(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> Answer:
         "delta_rad_after": of(diagnosis.delta_after),
         "suggested_recording": of(diagnosis.suggestion),
     }
+    if diagnosis.gaps:
+        answer["gaps"] = of(diagnosis.gaps)
     if diagnosis.gap_withheld:
         answer["gap_withheld"] = diagnosis.gap_withheld
     if diagnosis.augmented_bench is not None:
@@ -299,7 +302,9 @@ def diagnosis_tree(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> xr
     if diagnosis.signals:
         groups["signals"] = signals_dataset(diagnosis.signals)
     if diagnosis.posterior is not None:
-        groups["posterior"] = posterior_dataset(diagnosis.posterior)
+        posterior = posterior_dataset(diagnosis.posterior)
+        first = diagnosis.posterior.fit.model.recordings[0].name
+        groups["posterior"] = posterior.assign(delta_rad=posterior[f"delta_rad ({first})"])
     if diagnosis.learned is not None:
         curve, group = diagnosis.learned, LEARNED[diagnosis.learned.term.block]
         size, sd = (variable.name for variable in group.variables)

@@ -129,11 +129,9 @@ class DirectPosterior:
     model_widening: FloatArray
     noise_only: NoiseOnly | None = None
 
-    def beyond_tolerance(self, recording: str | None, level: float) -> dict[str, Any] | None:
+    def beyond_tolerance(self, recording: str, level: float) -> dict[str, Any] | None:
         """What of the bench decides the gap of a recording beyond its tolerance, with the shift of
         δ; ``None`` where nothing does.
-
-        ``recording``: ``None`` for the one gap that all recordings share.
 
         Where the recordings contradict a tolerance, or a range, the true value may lie beyond. If
         the value without it would move δ, by the regression of δ on the parameter, further than

@@ -130,16 +130,17 @@ class Unknown:
         return known if math.isfinite(known) else TURN_SD_RAD
 
 
-def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
+def gap_unknown(low_rad: float, high_rad: float, recording: str | None = None) -> Unknown:
     """δ with a log-uniform prior; from zero with the density 1/(δ + 0.01 mrad), which is proper.
 
+    Of one recording; of all without ``recording``.
     Below :data:`SMALLEST_GAP_RAD` signals are linear in δ, far above in ln δ.
     """
     offset = 0.0 if low_rad > 0.0 else SMALLEST_GAP_RAD
     low, high = math.log(low_rad + offset), math.log(high_rad + offset)
     # Rounding leaves no gap below zero.
     low = low if low_rad > 0.0 else math.nextafter(low, high)
-    return Unknown(GAP, low, high, logarithmic=True, offset=offset)
+    return Unknown(GAP, low, high, recording=recording, logarithmic=True, offset=offset)
 
 
 def start_angle_unknown(recording: str) -> Unknown:

@@ -19,7 +19,7 @@ learns a torque, an identification seeks a value that is wrong by far.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,9 +76,8 @@ def direct_unknowns(
 
     ``moving``: names of those that are of motions; ``shares_gap``: one gap for all.
     """
-    gap = gap_unknown(*gap_rad)
     return [
-        *([gap] if shares_gap else (replace(gap, recording=name) for name in names)),
+        *(gap_unknown(*gap_rad, owner) for owner in ([None] if shares_gap else names)),
         *(start_angle_unknown(name) for name in names),
         *(reference_delay_unknown(name) for name in moving),
         *effect_unknowns(bench, names),

@@ -176,13 +176,17 @@ def remaining(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def wear(summary: DiagnosisSummary) -> Iterator[str]:
-    """The gap before and after naming: what the effects do to it."""
+    """Each gap after naming, and the first before: what the effects do to it."""
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
     if learned_of(summary) is None and (withheld := summary.get("gap_withheld")):
         yield f"The gap is withheld: {withheld}"
     if before is None or after is None:
         return
+    gaps, where = summary.get("gaps", {}), ""
     gap = words.in_mrad(after)
+    if len(gaps) > 1:
+        gap = ", ".join(f"{words.in_mrad(own)} in {name}" for name, own in gaps.items())
+        where = f" in {next(iter(gaps))}"
     if learned_of(summary) is not None:
         yield f"With what was learned, the gap is {gap}."
     elif summary["verdict"] == "unexplained":
@@ -191,8 +195,8 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
         away = 100.0 * (before["median"] / after["median"] - 1.0)
         size = f"{significant(abs(away))} % too {'small' if away < 0.0 else 'large'}"
         yield (
-            f"The gap is {gap}; the bench as given yields {1e3 * before['median']:.4g} mrad, "
-            f"{size}."
+            f"The gap is {gap}; the bench as given yields {1e3 * before['median']:.4g} mrad"
+            f"{where}, {size}."
         )
     else:
         yield f"The gap is {gap}."

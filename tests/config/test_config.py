@@ -410,6 +410,10 @@ def test_what_a_file_states_of_a_recording_holds_where_that_is_named_again(
         "identify", ["before.csv", "after.csv"], base, bench=folder / "bench.toml"
     )
     assert [entry.date for entry in identified.recordings] == days
+    # What is held out has a gap of its own.
+    first, last = identified.recordings
+    held_out = (first, last.model_copy(update={"use": "hold_out"}))
+    identified.model_copy(update={"recordings": held_out}).require_sound()
 
 
 def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +25,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import (
     part_of,
     search,
 )
+from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.task import Task
@@ -83,13 +85,18 @@ class Found(NamedTuple):
     answer: Diagnosis
 
 
+def own_unknowns(used: Sequence[Observed]) -> list[Unknown]:
+    """Of each recording its own gap and start angle."""
+    gaps = [gap_unknown(1e-4, 4e-3, seen.name) for seen in used]
+    return [*gaps, *(start_angle_unknown(seen.name) for seen in used)]
+
+
 def diagnosed(recordings, effects, held_out=()) -> Found:
     used, checked = (
         [observed(r, BENCH, float(r.name.removesuffix(" rpm"))) for r in some]
         for some in (recordings, held_out)
     )
-    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
-    findings = search(BENCH, used, checked, unknowns, effects=effects)
+    findings = search(BENCH, used, checked, own_unknowns(used), effects=effects)
     return Found(findings, diagnosis_of(findings))
 
 
@@ -457,6 +464,50 @@ def test_what_does_not_suit_is_refused_in_words(folder, capsys, file, old, new, 
     assert not (folder / "out").exists()
 
 
+TWO_GAPS_RAD = (7e-4, 9.5e-4)
+FRICTION = {"motor_coulomb_friction__torque_nm": 0.2}
+
+
+@pytest.mark.parametrize("hidden", [{}, FRICTION])
+def test_recordings_months_apart_have_a_gap_each(independent, tmp_path: Path, hidden) -> None:
+    """Undated recordings whose gaps differ: no torque is learned in place of what has worn."""
+    (tmp_path / "bench.toml").write_text(dump_bench(BENCH))
+    entry = CONFIG[CONFIG.index("[[recordings]]") :]
+    text = CONFIG[: CONFIG.index("[[recordings]]")]
+    effects = 'effects = ["motor_coulomb_friction", "load_coulomb_friction"]'
+    recordings = []
+    for name, speed, gap in zip(("new", "worn"), (2000.0, -1200.0), TWO_GAPS_RAD, strict=True):
+        (made,) = recorded(independent, (speed,), 100 + len(recordings), hidden, 6.0, gap_rad=gap)
+        recordings.append(replace(made, name=name))
+        own = entry.replace('"forward"', f'"{name}"').replace("2000.0", f"{speed}")
+        text += own.replace("forward.csv", f"{name}.csv")
+        (tmp_path / f"{name}.csv").touch()
+    (tmp_path / "config.toml").write_text(f"{text}[candidates]\n{effects}\n")
+    config = load_config(tmp_path / "config.toml", kind="diagnose")
+    answer = forward.comparison(Task(config, BENCH, tuple(recordings))).diagnose(None)
+    assert answer.learned is None
+    assert [effect.name for effect in answer.effects] == ["motor_coulomb_friction"][: len(hidden)]
+    assert answer.verdict == ("named" if hidden else "nothing_missing")
+    assert not answer.gap_withheld
+    assert answer.disagreement["over_all"]["held_out"]["after"] == pytest.approx(1.0, abs=0.03)
+    tree = diagnosis_tree(answer, 0.9, "equal_tailed")
+    summary = summary_of(tree)
+    for (name, gap), truth in zip(summary["gaps"].items(), TWO_GAPS_RAD, strict=True):
+        assert gap["low"] < truth < gap["high"], name
+    assert summary["delta_rad_after"] == summary["gaps"]["new"]
+    assert np.array_equal(tree["posterior"]["delta_rad"], tree["posterior"]["delta_rad (new)"])
+    (told,) = wear(summary)
+    assert "in new, 0.9" in told
+
+
+def test_what_was_held_out_is_predicted_with_a_gap_of_its_own(friction: Found, independent) -> None:
+    hidden = {"load_coulomb_friction__torque_nm": FRICTION_NM}
+    (worn,) = recorded(independent, (HELD_OUT_RPM,), 2, hidden, gap_rad=1.2 * GAP_RAD)
+    seen = observed(worn, BENCH, HELD_OUT_RPM)
+    left = seen.residual_of(predicted(friction.findings.final, seen))
+    assert np.std(left, axis=1) == pytest.approx([1.5, 0.05], rel=0.06)
+
+
 @pytest.mark.long
 def test_too_few_rotations_to_tell_noise_from_what_repeats_are_refused(folder, capsys) -> None:
     bench, config = folder / "bench.toml", folder / "config.toml"
@@ -544,7 +595,7 @@ def test_a_drift_goes_on_in_the_second_half_of_exactly_four_rotations() -> None:
         middle = seen.samples // 2
         used.append(part_of(seen, slice(middle)))
         held_out.append(part_of(seen, slice(middle, None)))
-    unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
+    unknowns = own_unknowns(used)
     effects = ("motor_coulomb_friction", "friction_drift", "motor_torque_offset")
     findings = search(BENCH, used, held_out, unknowns, effects=effects)
     found = Found(findings, diagnosis_of(findings))

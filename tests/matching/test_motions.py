@@ -13,6 +13,7 @@ from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.motion import Motion, held_motion, sine, strokes
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.config.bench import reference_bench
+from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.errors import RecordingError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
@@ -24,6 +25,7 @@ from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.motion_verdict import unknown_start
 from bayesbl.model_search.pipeline import direct_unknowns
+from bayesbl.model_search.refit import Explanation
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.checks import cycle_of, moves
@@ -293,3 +295,13 @@ def test_a_plan_expects_what_a_fit_then_finds() -> None:
     # At one gap of the three that a plan goes by; the order is held, and the size roughly.
     ratios = np.array([sd / promised for promised, sd in found if promised])
     assert np.all((ratios > 0.2) & (ratios < 2.0))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("motion", [SWINGING, HELD_UP])
+def test_a_motion_that_is_held_out_is_predicted_with_a_gap_of_its_own(motion: Motion) -> None:
+    rng = np.random.default_rng(2)
+    later = BENCH.simulate(1.5 * GAP_RAD, motion, sampling_hz=500.0, seed=rng, name="later")
+    seen = observed(later, BENCH)
+    left = seen.residual_of(predicted(Explanation((), fitted(recorded())), seen))
+    assert np.std(left, axis=1) == pytest.approx([1.5, 0.05], rel=0.06)

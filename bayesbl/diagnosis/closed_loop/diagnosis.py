@@ -142,7 +142,7 @@ def search(
     used, held_out
         Recordings to fit on, and to predict.
     unknowns
-        Declared: the gap, start angles, bench parameters.
+        Declared: a gap and a start angle of each recording, bench parameters.
     effects, max_effects, load_angle_known, motor_angle_known
         As ``[candidates]`` and ``[comparison]`` say.
 
@@ -242,14 +242,15 @@ def diagnosis_of(
     sampled = posterior
     if posterior is not None and posterior.diagnostics.outcome == "withheld":
         sampled = None
-    after, doubts = None, list[str]()
+    gaps, doubts = dict[str, Estimate](), list[str]()
     if not withheld:
         seed = np.random.SeedSequence(0)
         around = sampled or sample_direct(final.fit, SamplerSettings(), seed, withheld=True)
         whole = findings.whole.averaged(around, seed)
-        after, doubts = _averaged_gap(whole), [*_doubts_in_words(findings, whole)]
+        gaps, doubts = _averaged_gaps(whole), [*_doubts_in_words(findings, whole)]
         if sampled is not None:
             posterior = sampled = whole
+    first = final.fit.model.recordings[0].name
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
     return Diagnosis(
         verdict_of(
@@ -285,8 +286,8 @@ def diagnosis_of(
         findings.pieces,
         (*notes, *doubts),
         bench_parameters=_declared_parameters(findings, sampled),
-        delta_before=_estimate(naming.nominal, naming.nominal.fit.model.index(GAP), None),
-        delta_after=after,
+        delta_before=_estimate(naming.nominal, naming.nominal.fit.model.index(GAP, first), None),
+        gaps=gaps,
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
@@ -326,10 +327,15 @@ def _estimate(explanation: Explanation, i: int, posterior: DirectPosterior | Non
     return Estimate(float(fit.point[i]), sd, draws, unknown.logarithmic)
 
 
-def _averaged_gap(posterior: DirectPosterior) -> Estimate:
-    values = posterior.values(GAP)
-    logs = np.log(values)
-    return Estimate(float(logs.mean()), float(logs.std()), values, logarithmic=True)
+def _averaged_gaps(posterior: DirectPosterior) -> dict[str, Estimate]:
+    gaps = {}
+    for observation in posterior.fit.model.recordings:
+        values = posterior.values(GAP, observation.name)
+        logs = np.log(values)
+        gaps[observation.name] = Estimate(
+            float(logs.mean()), float(logs.std()), values, logarithmic=True
+        )
+    return gaps
 
 
 def _declared_parameters(
@@ -344,7 +350,8 @@ def _declared_parameters(
 
 def _doubts_in_words(findings: Findings, whole: DirectPosterior) -> Iterator[str]:
     """What the form of a law that is named, and what is left, do to δ."""
-    wider = float(whole.model_widening[whole.fit.model.index(GAP)])
+    gaps = [i for i, unknown in enumerate(whole.fit.model.unknowns) if unknown.name == GAP]
+    wider = float(whole.model_widening[gaps].max())
     of_shaft = [in_words(c.name) for c in laws_of_shaft(findings.naming.final)]
     if wider > 1.05 and (of_shaft or findings.chosen.misfit > 0.0):
         why = "Something repeats that no name explains."
@@ -352,7 +359,7 @@ def _doubts_in_words(findings: Findings, whole: DirectPosterior) -> Iterator[str
             why = f"No real shaft follows the law of {' and '.join(of_shaft)} exactly."
         yield (
             f"{why} For this, and for laws that no recording shows, the gap's interval is "
-            f"{wider:.2g} times as wide."
+            f"{'up to ' if len(gaps) > 1 else ''}{wider:.2g} times as wide."
         )
 
 
@@ -368,8 +375,11 @@ def _why_no_gap(findings: Findings, posterior: DirectPosterior | None, level: fl
             "gap by more than anything else, so no gap is given. Record another speed or "
             "direction, and look at the residuals."
         )
-    decides = None if posterior is None else posterior.beyond_tolerance(None, level)
-    return "" if decides is None else tolerance_decides(**decides)
+    if posterior is not None:
+        for observation in findings.final.fit.model.recordings:
+            if decides := posterior.beyond_tolerance(observation.name, level):
+                return tolerance_decides(**decides)
+    return ""
 
 
 CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
@@ -440,13 +450,6 @@ def forward_problem(
     """
     require_no_known_torque(task, "The forward comparison knows no torque from outside.")
     config, bench = task.config, task.bench
-    if len({entry.date for entry in config.recordings}) > 1:
-        raise ConfigError(
-            "The recordings of a diagnosis share one gap, which may differ between dates.",
-            where="[[recordings]]",
-            found=", ".join(f"{r.name}: {r.date or 'no date'}" for r in config.recordings),
-            expected="recordings of one date; diagnose each date by itself",
-        )
     channels = _channels(task)
     recordings = [unclipped(r, _unclipped(bench, r, channels)) for r in task.recordings]
     used: list[Observed] = []
@@ -560,7 +563,8 @@ def _motor_angle(config: DiagnoseConfig, recording: Recording) -> FloatArray | N
 def _unknowns(
     config: DiagnoseConfig, bench: Bench, used: Sequence[Observed], recordings: Sequence[Recording]
 ) -> list[Unknown]:
-    unknowns = [gap_unknown(*(config.unknowns.gap_rad or DEFAULT_GAP_RAD))]
+    gap_rad = config.unknowns.gap_rad or DEFAULT_GAP_RAD
+    unknowns = [gap_unknown(*gap_rad, observation.name) for observation in used]
     measured = {entry.name: r for entry, r in zip(config.recordings, recordings, strict=True)}
     for observation in used:
         if config.comparison.load_angle_known:

@@ -22,6 +22,7 @@ from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import (
+    GAP,
     START_ANGLE,
     SimulatedSignals,
     Unknown,
@@ -77,19 +78,6 @@ def learned_terms(fit: SimulatedFit) -> list[LearnedTerm]:
     return [term.fitted(values, sds) for term in fit.model.bench.learned_terms]
 
 
-def known_settings(explanation: Explanation) -> dict[str, float]:
-    """Fitted values of what belongs to no bench file and to no single recording, as the gap."""
-    fit = explanation.fit
-    return {
-        unknown.name: float(unknown.value(fit.point[i]))
-        for i, unknown in enumerate(fit.model.unknowns)
-        if unknown.recording is None
-        and unknown.name != START_ANGLE
-        and unknown.name not in fit.model.bench.parameters
-        and "__" not in unknown.name
-    }
-
-
 def _with_estimates(
     effect: BenchEffect, estimates: Mapping[str, tuple[float, float]]
 ) -> BenchEffect:
@@ -101,8 +89,8 @@ def _with_estimates(
 def compared_pieces(
     nominal: Explanation, final: Explanation, held_out: Sequence[Observed]
 ) -> tuple[ComparedPiece, ...]:
-    """Every channel of all recordings beside both simulations; of held-out ones only start and
-    phases are fitted."""
+    """Every channel of all recordings beside both simulations; of held-out ones only what is their
+    own is fitted: gap, start and phases."""
     both, pieces = (nominal, final), list[ComparedPiece]()
     for i, observation in enumerate(final.fit.model.recordings):
         pieces += compared_channels(observation, "used", *(e.fit.simulated(i) for e in both))
@@ -134,8 +122,16 @@ def compared_channels(
 
 
 def predicted(explanation: Explanation, observation: Observed) -> FloatArray:
-    """What an explanation says of a recording that it was not fitted on, shape (c, n)."""
+    """What an explanation says of a recording that it was not fitted on, shape (c, n).
+
+    The gap is that of all recordings or, in a half of a recording that was split, of the other
+    half; else it is the recording's own, as its start is.
+    """
     fit = explanation.fit
+    gap = fit.model.place_of(GAP, observation.name)
+    known = {} if gap is None else {GAP: fit.value(*fit.model.unknowns[gap].key)}
+    like = next(u for u in fit.model.unknowns if u.name == GAP)
+    own = [] if known else [replace(like, recording=observation.name)]
     phases = [
         Unknown(u.name, recording=observation.name)
         for u in fit.model.unknowns
@@ -149,21 +145,21 @@ def predicted(explanation: Explanation, observation: Observed) -> FloatArray:
         if term.shift_slot in named
         for unknown in shift_unknowns(term, [observation.name])
     ]
-    unknowns = [start_angle_unknown(observation.name), *phases, *shifts]
+    unknowns = [*own, start_angle_unknown(observation.name), *phases, *shifts]
     model = SimulatedSignals(
         bench,
         [observation],
         unknowns,
         [noise_of(observation, observation.signals)],
         fit.model.workers,
-        known_settings(explanation),
+        known,
     )
-    start = aligned_starts(model)[0]
-    trials = [start]
+    trials = aligned_starts(model)
     if phases:  # four quadrants, as a phase far off has no slope towards the right one
-        trials = [start.copy() for _ in range(4)]
+        at = [k for k, unknown in enumerate(unknowns) if unknown in phases]
+        trials = [trial.copy() for trial in trials for _ in range(4)]
         for k, trial in enumerate(trials):
-            trial[1 : 1 + len(phases)] = 0.5 * math.pi * k
+            trial[at] = 0.5 * math.pi * (k % 4)
     fits = [fit_simulated(model, trial) for trial in trials]
     return min(fits, key=lambda f: f.chi_square).simulated(0)
 
@@ -217,7 +213,7 @@ def _seen(
         gravity_torque_nm=payload * bench.value("gravity_torque_nm"),
         load_inertia_kg_m2=payload * bench.value("load_inertia_kg_m2"),
     )
-    settings = known_settings(explanation) | {"reference_speed_rpm": speed_rpm}
+    settings = {"reference_speed_rpm": speed_rpm, GAP: explanation.fit.value(GAP, first.name)}
     matrix = bench.vector(**{START_ANGLE: np.array([0.0, ANGLE_STEP])}, **settings)
     samples = round(bench.rotation_period_s(speed_rpm) * first.sampling_hz)
     everything = simulate_channels(matrix, samples, first.sampling_hz, failures="nan")
