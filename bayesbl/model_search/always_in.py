@@ -123,6 +123,9 @@ tells a worn joint from one twice as worn."""
 
 WIDTH_DRAWS = 1000
 
+MOST_MORE = 20.0
+"""χ² beyond the best, up to which another loop is fitted to the end: e⁻¹⁰ as likely at most."""
+
 MOST_ROUNDS = 6
 """Laws freed one after another. It limits time only: the check decides on what is still far."""
 
@@ -379,6 +382,9 @@ class Beside:
         Of the fit with all at their mean, shape (N,).
     lag_s
         By which the loop is late in the fit itself.
+    loops
+        Where the fit has a loop that was chosen: rough fits when it was, and with each other loop
+        that fits about as well (:func:`other_loops`).
     """
 
     fit: SimulatedFit
@@ -387,6 +393,7 @@ class Beside:
     sizes: FloatArray
     residual: FloatArray
     lag_s: float = 0.0
+    loops: tuple[tuple[SimulatedFit, SimulatedFit], ...] = ()
 
     def far(self) -> list[tuple[Label, FloatArray]]:
         """What data put far from where the fit has it, that by which alone χ² falls most first.
@@ -689,20 +696,51 @@ def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = 
     takes the gaps along.
     """
     nominal = rest = beside(fit, among)
+    loops: list[tuple[SimulatedFit, SimulatedFit]] = []
     for made in range(MOST_ROUNDS):
         progress(made, MOST_ROUNDS)
-        nearer = _nearer(rest, among)
-        if nearer is None:
+        tried = _nearer(rest, among)
+        if not tried:
             break
+        nearer = tried[0]
+        most = nearer.chi_square + MOST_MORE
+        loops += [(nearer, own) for own in tried[1:] if own.chi_square < most]
         fit = fit_simulated(nearer.model, nearer.point, nearer.steps, one_sided=True)
         rest = beside(fit, among)
     if rest is nominal or not rest.explains:
         return nominal
-    return beside(fit_simulated(fit.model, fit.point, fit.steps), among)
+    rest = beside(fit_simulated(fit.model, fit.point, fit.steps), among)
+    return replace(rest, loops=tuple(loops))
 
 
-def _nearer(rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
-    """With one more of what is far among the unknowns; ``None`` where that leads nowhere.
+def other_loops(rest: Beside) -> list[SimulatedFit]:
+    """Fits with the loops that may be the joint's as well, and all that was freed since.
+
+    Which it is the recordings often cannot tell, and each has its own gap.
+    """
+    fit, fits = rest.fit, []
+    for chosen, other in rest.loops:
+        own = chosen.point.size
+        since = [e for e in fit.model.bench.effects if e not in chosen.model.bench.effects]
+        bench = other.model.bench.with_effects(*other.model.bench.effects, *since)
+        model = replace(other.model.beside(bench, fit.model.unknowns[own:]), noise=fit.model.noise)
+        common = sum(1 for _ in common_unknowns(fit.model, other.model))
+        start = np.concatenate([other.point, fit.point[own:]])
+        start[:common] += fit.point[:common] - chosen.point[:common]
+        with suppress(BenchError):
+            fits.append(fit_simulated(model, start, other.steps))
+    return fits
+
+
+def common_unknowns(first: SimulatedSignals, second: SimulatedSignals) -> Iterator[Unknown]:
+    """What two models begin with alike."""
+    pairs = zip(first.unknowns, second.unknowns, strict=False)
+    return (own for own, _ in itertools.takewhile(lambda pair: pair[0].key == pair[1].key, pairs))
+
+
+def _nearer(rest: Beside, among: Sequence[Direction]) -> list[SimulatedFit]:
+    """With one more of what is far among the unknowns, the best and its rivals; empty where that
+    leads nowhere.
 
     Lags of the loop are much alike where all is linear. So where one of them promises most, or the
     fit is far off, all of them are fitted, and controllers of usual periods; before them the dead
@@ -714,12 +752,12 @@ def _nearer(rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
         tried: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
         if not tried or all(e.name != SAMPLED for e in fit.model.bench.effects):
             tried += [_freed(fit, *own) for own in lags]
-        best = min((f for f in tried if f is not None), key=lambda f: f.chi_square, default=None)
-        if best is not None and best.chi_square < fit.chi_square:
-            return best
+        rivals = sorted((f for f in tried if f is not None), key=lambda f: f.chi_square)
+        if rivals and rivals[0].chi_square < fit.chi_square:
+            return rivals
     freed = (_freed(fit, *own) for own in far if not own[0].is_lag)
     better = (f for f in freed if f is not None and f.chi_square < fit.chi_square)
-    return next(better, None)
+    return list(itertools.islice(better, 1))
 
 
 def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | None:

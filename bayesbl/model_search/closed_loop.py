@@ -29,7 +29,7 @@ from bayesbl.matching.observed import Observed, whole_rotations
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import SimulatedSignals
-from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside
+from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside, common_unknowns
 from bayesbl.model_search.catalogue import Candidate
 from bayesbl.model_search.constants import (
     FORM_SHARE,
@@ -208,10 +208,7 @@ def averaged(
         if count := round(weight * len(draws)):
             rows, order = order[:count], order[count:]
             whole = weighed(other.explanation, among) if among else other
-            pairs = zip(model.unknowns, other.fit.model.unknowns, strict=False)
-            common = sum(
-                1 for _ in itertools.takewhile(lambda pair: pair[0].key == pair[1].key, pairs)
-            )
+            common = sum(1 for _ in common_unknowns(model, other.fit.model))
             own = whole.draws(rng, count)[:, :common]
             draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
     return posterior.with_model(draws)

@@ -18,10 +18,12 @@ learns a torque, an identification seeks a value that is wrong by far.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
 from bayesbl.bench.bench import Bench
 from bayesbl.matching.alignment import believed, fit_aligned
@@ -40,12 +42,14 @@ from bayesbl.model_search.always_in import (
     Beside,
     Direction,
     beside,
+    common_unknowns,
     directions,
     marginalised,
+    other_loops,
     settled,
     with_friction,
 )
-from bayesbl.model_search.closed_loop import FittedSet, averaged
+from bayesbl.model_search.closed_loop import FittedSet, averaged, weighed
 from bayesbl.model_search.joint_change import (
     JointFindings,
     changed_beside,
@@ -53,6 +57,7 @@ from bayesbl.model_search.joint_change import (
     find_changes,
     with_part,
 )
+from bayesbl.model_search.refit import Explanation
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -107,6 +112,25 @@ def friction_drift(
         for d in among
         if d.slot in sizes and d.drift > 0.0
     ]
+
+
+def rival_loops(
+    rest: Beside, among: Sequence[Direction], whole: float
+) -> list[tuple[FittedSet, float]]:
+    """Other loops that explain the recordings as well, each with its share of a probability."""
+    fits = [rest.fit, *other_loops(rest)]
+    if len(fits) == 1:
+        return []
+    common = min(sum(1 for _ in common_unknowns(fits[0].model, f.model)) for f in fits[1:])
+    sets = [weighed(Explanation((), fit), among) for fit in fits]
+    evidence = np.array(
+        [
+            own.log_evidence - sum(math.log(u.prior_sd) for u in own.fit.model.unknowns[common:])
+            for own in sets
+        ]
+    )
+    share = whole * np.exp(evidence - logsumexp(evidence))
+    return [(own, float(p)) for own, p in zip(sets[1:], share[1:], strict=True) if p > 0.0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,6 +226,7 @@ def fit_jointly(
                     joint = changed_beside(own.fit, wider, part.added)
                     return JointFit(rest=own, others=sets[1:], joint=joint)
         others = [(own, p) for own, p in sets if own.explanation.candidates]
+        others += rival_loops(rest, among, 1.0 - sum(p for _, p in others))
         return JointFit(rest=rest, others=others, joint=changed_beside(rest.fit, among))
     seeking = of_stage(progress, f"Seeking changes in {name}")
     naming, joint = find_changes(rest.fit, among=among, progress=seeking)

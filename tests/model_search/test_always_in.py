@@ -209,6 +209,21 @@ def test_a_period_that_nobody_states_is_found_beside_dry_friction(
     assert whole.rest.fit.value("sampled_control__delay_periods") == pytest.approx(delay, abs=0.1)
 
 
+def test_loops_that_fit_alike_are_averaged_over(independent: ModuleType) -> None:
+    """By the speed alone; what fits worse by χ² 20 has no share."""
+    truth = {name: item.value for name, item in BENCH.parameters.items()}
+    truth |= {"sampled_control.period_s": 5e-4, "sampled_control.delay_periods": 1.0}
+    seen = by_ticks(independent, BENCH, truth | {"start_angle_rad": 0.4}, with_current=False)
+    whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    assert_holds_the_gaps(whole)
+    chosen = whole.rest.fit
+    loops = [(own.fit, share) for own, share in whole.others if not own.explanation.candidates]
+    assert loops
+    assert sum(share for _, share in whole.others) < 1.0
+    for fit, share in loops:
+        assert share < 1e-3 or fit.chi_square < chosen.chi_square + 20.0
+
+
 GAPS_RAD = {"before": 7e-4, "after": 9e-4}
 
 
