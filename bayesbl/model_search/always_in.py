@@ -721,9 +721,12 @@ def other_loops(rest: Beside) -> list[SimulatedFit]:
     fit, fits = rest.fit, []
     for chosen, other in rest.loops:
         own = chosen.point.size
+        freed = fit.model.unknowns[own:]
+        if {u.key for u in freed} & {u.key for u in other.model.unknowns}:
+            continue
         since = [e for e in fit.model.bench.effects if e not in chosen.model.bench.effects]
         bench = other.model.bench.with_effects(*other.model.bench.effects, *since)
-        model = replace(other.model.beside(bench, fit.model.unknowns[own:]), noise=fit.model.noise)
+        model = replace(other.model.beside(bench, freed), noise=fit.model.noise)
         common = sum(1 for _ in common_unknowns(fit.model, other.model))
         start = np.concatenate([other.point, fit.point[own:]])
         start[:common] += fit.point[:common] - chosen.point[:common]
