@@ -82,7 +82,7 @@ def test_unstated_units_are_found_from_the_numbers(time, speed, angle, measured,
         ("Speed (rpm)", "rpm"),
         ("velocity_rad_per_s", "rad/s"),
         ("MotorSpeed_deg_s", "deg/s"),
-        ("axis1_velocity_degps", "deg/s"),
+        ("drive1_velocity_degps", "deg/s"),
         ("velocity [°/s]", "deg/s"),
     ],
 )
