@@ -124,7 +124,8 @@ tells a worn joint from one twice as worn."""
 WIDTH_DRAWS = 1000
 
 MOST_MORE = 20.0
-"""χ² beyond the best, up to which another loop is fitted to the end: e⁻¹⁰ as likely at most."""
+"""χ² beyond the best, up to which another loop is fitted to the end. It limits time: e⁻¹⁰ as likely
+at most by itself, though laws beside it may make up for some of it."""
 
 MOST_ROUNDS = 6
 """Laws freed one after another. It limits time only: the check decides on what is still far."""
@@ -704,7 +705,8 @@ def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = 
             break
         nearer = tried[0]
         most = nearer.chi_square + MOST_MORE
-        loops += [(nearer, own) for own in tried[1:] if own.chi_square < most]
+        lean = [own.without_derivatives() for own in tried if own.chi_square < most]
+        loops += [(lean[0], own) for own in lean[1:]]
         fit = fit_simulated(nearer.model, nearer.point, nearer.steps, one_sided=True)
         rest = beside(fit, among)
     if rest is nominal or not rest.explains:

@@ -15,7 +15,7 @@ from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 
 SPEEDS_RPM = (2000.0, -2000.0, 1200.0, 1600.0)
 
-LOST = pytest.mark.xfail(reason="no name, or false ones, beside what is learned")
+MISNAMED = pytest.mark.xfail(reason="no name, or false ones, beside what is learned")
 
 
 @pytest.mark.long
@@ -41,7 +41,7 @@ LOST = pytest.mark.xfail(reason="no name, or false ones, beside what is learned"
             "load_angle",
             "shaft_hysteresis",
             id="friction over the angle",
-            marks=LOST,
+            marks=MISNAMED,
         ),
         pytest.param(
             # Friction with presliding was called friction that drifts, by as good as nothing.
@@ -50,7 +50,7 @@ LOST = pytest.mark.xfail(reason="no name, or false ones, beside what is learned"
             "load_angle",
             "motor_coulomb_friction",
             id="friction at the motor, and over the angle",
-            marks=LOST,
+            marks=MISNAMED,
         ),
     ],
 )
