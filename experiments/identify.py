@@ -135,7 +135,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
             for i, (pace, reach) in enumerate(STROKES_ALONE)
         ]
     problem = Problem(
-        sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD, shares_gap=True
+        sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD
     )
     begin = perf_counter()
     found = identify(problem, FAST_DIRECT, identify_seed)
@@ -156,7 +156,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         values[f"{name}_covered"] = held(own, joint.value(name))
         half = sheet.tolerances[name]
         values[f"{name}_learned"] = 1.0 - float(own.std()) / (half / math.sqrt(3.0))
-    logarithm = np.log(found.posterior.values(GAP))
+    logarithm = np.log(found.posterior.values(GAP, seen[0].name))
     values["gap_z"] = float((logarithm.mean() - math.log(gap)) / logarithm.std())
     grown = (gap, GREW * gap)
     pair = [

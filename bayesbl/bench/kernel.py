@@ -589,8 +589,8 @@ def logged_torque(y, repeated, dt, p, c):  # type: ignore[no-untyped-def]
     """Torque that a sampled drive shows at its tick, N m: what acts, or its mean till the next.
 
     The mean where the delay is longer than a period: so it is d periods old for any d above one,
-    and smooth in d. A recorder that sees each torque for several samples shows what acts. Behind a
-    lag that is the mean of what flows, till the torque changes or the next sample.
+    and smooth in d. A recorder that sees each torque for several samples shows the mean till the
+    next of them. Behind a lag that is the mean of what flows.
     """
     delay, period = p[Slot.sampled_control__delay_periods], p[Slot.sampled_control__period_s]
     held, following, share, span = y[HELD_TORQUE], y[HELD_TORQUE], 1.0, period
@@ -1234,11 +1234,14 @@ def is_repeated(period, dt):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def emit_logged(since, until, p, row, first, start, moments, repeated, out, old, new):  # type: ignore[no-untyped-def]
+def emit_logged(  # type: ignore[no-untyped-def]
+    since, until, p, row, first, start, moments, dt, repeated, out, old, new, towards
+):
     """Samples between two times at which a sampled drive logs; returns the next sample's number.
 
-    ``new`` is what is shown at the later time, or, where a recorder sees what is held for several
-    samples, what a lagging current goes towards meanwhile.
+    ``old`` and ``new`` are what is shown at these times. A recorder that sees what is held for
+    several samples shows the mean till the next of them, so that it is smooth in the delay; a
+    lagging current goes ``towards`` a torque meanwhile.
     """
     lag = p[Slot.current_loop_lag__time_s] if row == CURRENT else 0.0
     margin = AT_TICK * p[Slot.sampled_control__period_s]
@@ -1249,9 +1252,13 @@ def emit_logged(since, until, p, row, first, start, moments, repeated, out, old,
         if time >= until - margin:
             return index
         share = max(0.0, time - since) / (until - since)
+        shown = old + share * (new - old)
         if repeated:
-            share = 1.0 - math.exp(-max(0.0, time - since) / lag) if lag > 0.0 else 0.0
-        out[place, index] = old + share * (new - old)
+            shown = old
+            if lag > 0.0:
+                shown = towards + (old - towards) * math.exp(-max(0.0, time - since) / lag)
+            shown += max(0.0, 1.0 - (until - time) / dt) * (new - shown)
+        out[place, index] = shown
     return out.shape[1]
 
 
@@ -1532,10 +1539,10 @@ def integrate(  # type: ignore[no-untyped-def]
                 piece += 1
                 c = on_piece(c, pieces, piece)
                 piece_end = pieces[piece + 1, 0] if piece + 1 < len(pieces) else math.inf
-            if t == due:
+            acts, ticks = t == due, t == next_tick
+            if acts:
                 y[HELD_TORQUE] = next_to_act(y, c)
                 due = math.inf
-            ticks = t == next_tick
             if ticks:
                 due = start + (number - c.waiting + delay) * period
                 number += 1
@@ -1544,18 +1551,18 @@ def integrate(  # type: ignore[no-untyped-def]
                 tick(t, y, p, c)
                 if due <= t:
                     y[HELD_TORQUE] = next_to_act(y, c)
-                    due = math.inf
+                    due, acts = math.inf, True
                 if logged and not averaged:
                     next_sample[SPEED] = emit_logged(
-                        t - period, t, p, SPEED, next_sample[SPEED], start, moments, repeated,
-                        out, old, y[TICK_SPEED] * RPM,
+                        t - period, t, p, SPEED, next_sample[SPEED], start, moments, dt,
+                        repeated, out, old, y[TICK_SPEED] * RPM, 0.0,
                     )  # fmt: skip
-            if logged and out.shape[0] == 3 and (repeated or ticks):
+            if logged and out.shape[0] == 3 and (acts if repeated else ticks):
                 old = current
                 current = logged_torque(y, repeated, dt, p, c) / p[Slot.torque_constant_nm_per_a]
                 next_sample[CURRENT] = emit_logged(
-                    changed, t, p, CURRENT, next_sample[CURRENT], start, moments, repeated,
-                    out, old, towards if repeated else current,
+                    changed, t, p, CURRENT, next_sample[CURRENT], start, moments, dt, repeated,
+                    out, old, current, towards,
                 )  # fmt: skip
                 towards = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a]
                 changed = t

@@ -541,21 +541,13 @@ class Identify(Section):
 
 
 class IdentifyConfig(RecordedConfig):
-    """``kind = "identify"``.
-
-    Recordings share one gap; if their dates differ, each has a gap of its own.
-    """
+    """``kind = "identify"``: each recording has a gap of its own."""
 
     kind: Literal["identify"]
     bench: InputPath
     identify: Identify = Field(default_factory=Identify)
     recordings: Annotated[Items[IdentifiedRecording], AfterValidator(differently_named)]
     interval: Interval = Field(default_factory=Interval)
-
-    @property
-    def shares_gap(self) -> bool:
-        """Whether all recordings are of one date, or of none."""
-        return len({entry.date for entry in self.recordings}) == 1
 
     def require_sound(self) -> None:
         if all(recording.use == "hold_out" for recording in self.recordings):

@@ -110,7 +110,6 @@ class IdentificationAnswer(TypedDict):
     verdict: Verdict
     parameters: dict[str, ParameterSummary]
     gaps: dict[str, Interval | None]
-    gap_shared: bool
     effects: list[EffectFound]
     missing: list[list[str]]
     data_sheet_error: BeyondSummary | None
@@ -222,7 +221,6 @@ def _answer(
             name: None if withheld else interval(own, level, kind)
             for name, own in _gaps(result, problem).items()
         },
-        "gap_shared": problem.shares_gap,
         "effects": [
             {
                 "name": name,
@@ -268,13 +266,8 @@ def _alike(result: Identification, name: str) -> list[str]:
 
 
 def _gaps(result: Identification, problem: Problem) -> dict[str, FloatArray]:
-    """Draws of δ by recording, in rad; of all recordings the same where they share it."""
-    return {
-        observation.name: result.posterior.values(
-            GAP, None if problem.shares_gap else observation.name
-        )
-        for observation in problem.used
-    }
+    """Draws of δ by recording, in rad."""
+    return {own.name: result.posterior.values(GAP, own.name) for own in problem.used}
 
 
 def _parameter(

@@ -85,8 +85,6 @@ class Problem:
         Bench parameters that are free, each with a tolerance.
     effects
         Free from the start, by name; ``"catalogue"``: those that the recordings name.
-    shares_gap
-        Whether all recordings have one gap.
     """
 
     bench: Bench
@@ -95,7 +93,6 @@ class Problem:
     parameters: tuple[str, ...]
     effects: tuple[str, ...] | Literal["catalogue"]
     gap_rad: tuple[float, float]
-    shares_gap: bool
     workers: int = field(default=1, compare=False)
 
     @property
@@ -104,7 +101,7 @@ class Problem:
         names = [observation.name for observation in self.used]
         moving = [observation.name for observation in self.used if observation.motion is not None]
         known = set(self.bench.tolerances) - set(self.parameters)
-        every = direct_unknowns(self.bench, names, self.gap_rad, moving, shares_gap=self.shares_gap)
+        every = direct_unknowns(self.bench, names, self.gap_rad, moving)
         return [unknown for unknown in every if unknown.name not in known]
 
 

@@ -74,15 +74,13 @@ def direct_unknowns(
     names: Sequence[str],
     gap_rad: tuple[float, float],
     moving: Sequence[str] = (),
-    *,
-    shares_gap: bool = False,
 ) -> list[Unknown]:
     """A gap and a start angle for each recording, and what is not known of their bench.
 
-    ``moving``: names of those that are of motions; ``shares_gap``: one gap for all.
+    ``moving``: names of those that are of motions.
     """
     return [
-        *(gap_unknown(*gap_rad, owner) for owner in ([None] if shares_gap else names)),
+        *(gap_unknown(*gap_rad, name) for name in names),
         *(start_angle_unknown(name) for name in names),
         *(reference_delay_unknown(name) for name in moving),
         *effect_unknowns(bench, names),

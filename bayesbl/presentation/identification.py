@@ -65,16 +65,10 @@ def compared(summary: IdentificationSummary) -> str:
 
 
 def gaps(summary: IdentificationSummary) -> Iterator[str]:
-    """The gap that all share, or each."""
-    by_name = {name: gap for name, gap in summary["gaps"].items() if gap is not None}
-    if summary["gap_shared"]:
-        for gap in list(by_name.values())[:1]:
-            count = len(summary["gaps"])
-            shared = f", one for all {count} recordings" if count > 1 else ""
-            yield f"The gap is {words.in_mrad(gap)}{shared}."
-        return
-    for name, gap in by_name.items():
-        yield f"The gap in {name} is {words.in_mrad(gap)}."
+    """That of each recording."""
+    for name, gap in summary["gaps"].items():
+        if gap is not None:
+            yield f"The gap in {name} is {words.in_mrad(gap)}."
 
 
 def suggestion(recording: NextRecordingSummary) -> str:
@@ -109,10 +103,7 @@ def advice(summary: IdentificationSummary) -> Advice:
 def assumptions(summary: IdentificationSummary) -> Iterator[str]:
     """What has to hold."""
     yield "Each value has a normal prior around that of the data sheet, as wide as its tolerance."
-    if summary["gap_shared"]:
-        yield "All recordings have one gap; give their dates if they are from different days."
-    else:
-        yield "Each recording has a gap of its own, as their dates differ."
+    yield "Each recording has a gap of its own."
     yield "Nothing but the gap differs between the recordings: same controller and load."
     yield "Noise does not repeat from one rotation to the next, and it is steady."
 

@@ -53,14 +53,9 @@ def describe(config: IdentifyConfig, plan: Plan) -> None:
     def problem() -> str:
         identified, notes = problem_of(config)
         plan.warnings += notes
-        gap = (
-            "one gap"
-            if identified.shares_gap
-            else "a gap for each recording, as their dates differ"
-        )
         return (
-            f"{', '.join(identified.parameters)} from {len(identified.used)} recordings, {gap}; "
-            f"{len(identified.held_out)} held out"
+            f"{', '.join(identified.parameters)} from {len(identified.used)} recordings, each with "
+            f"its own gap; {len(identified.held_out)} held out"
         )
 
     plan.add("identify", problem)
@@ -115,7 +110,6 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         parameters,
         asked,
         config.identify.gap_rad,
-        config.shares_gap,
         config.run.workers,
     )
     return problem, notes

@@ -388,7 +388,7 @@ def test_a_sampled_controller_is_a_difference_and_a_sum_held_for_a_period(delay:
     often = simulate_channels(
         BENCH.vector(gap_rad=GAP, **sampled(delay=delay)), 4000, 4.0 / PERIOD_S
     )[0, [SPEED, CURRENT]]
-    assert np.array_equal(often, np.repeat(often[:, ::4], 4, axis=1))
+    assert often == pytest.approx(np.repeat(often[:, ::4], 4, axis=1), abs=1e-9)
     assert often[:, ::4] == pytest.approx(np.array([speed, current])[:, :1000], abs=1e-6)
 
 
@@ -405,6 +405,26 @@ def test_a_delay_in_periods_is_a_dead_time() -> None:
         for period, delay in ((1e-3, 4.0), (2.5e-4, 19.0), (1e-3, 5.0))
     )
     assert np.max(np.abs(fast - slow)) < 0.1 * np.max(np.abs(later - slow))
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 3e-4])
+@pytest.mark.parametrize("delay", [0.25, 0.5, 1.0, 1.5])
+def test_what_a_faster_recorder_sees_is_smooth_in_delay_and_skew(
+    delay: float, lag_s: float
+) -> None:
+    """At 1 kHz of a torque that is held for 2 ms; it changes at a sample or between two."""
+
+    def seen(delay: float, skew_s: float) -> np.ndarray:
+        lag = {"current_loop_lag__time_s": lag_s, "channel_time_skew__current_s": skew_s}
+        slow = {"speed_gain_nm_s_per_rad": 0.13, "integral_gain_nm_per_rad": 5.6}
+        bench = BENCH.with_parameters(**slow)
+        p = bench.vector(gap_rad=GAP, **sampled(2e-3, delay), **lag)
+        return simulate_channels(p, 1000, 1e3)[0, CURRENT]
+
+    for later, skew_s in ((1e-3, 0.0), (0.0, 2e-6)):
+        moved = [seen(delay + k * later, k * skew_s) for k in (-1, 0, 1)]
+        steps = np.diff(moved, axis=0)
+        assert 0.0 < np.max(np.abs(steps)) < 1e-3
 
 
 def test_a_short_period_is_a_continuous_controller() -> None:

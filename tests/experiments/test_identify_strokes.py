@@ -31,12 +31,10 @@ def test_friction_of_strokes_alone_is_measured_though_it_is_another_at_rest() ->
         for number, (pace, reach) in enumerate(STROKES_ALONE)
     ]
     sheet = with_friction(sheet, seen)
-    problem = Problem(
-        sheet, tuple(seen), (), tuple(sheet.tolerances), "catalogue", GAP_RANGE_RAD, shares_gap=True
-    )
+    problem = Problem(sheet, tuple(seen), (), tuple(sheet.tolerances), "catalogue", GAP_RANGE_RAD)
     found = identify(problem, FAST_DIRECT, np.random.SeedSequence(3))
     assert reason_of(found) is None
     for name, value in ({GAP: math.log(GAP_RAD)} | FRICTION).items():
-        draws = found.posterior.values(name)
+        draws = found.posterior.values(name, seen[0].name if name == GAP else None)
         draws = np.log(draws) if name == GAP else draws
         assert abs(draws.mean() - value) < 3.5 * draws.std(), name
