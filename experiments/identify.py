@@ -134,9 +134,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
             stroked(joint, gap, f"strokes {i}", rng, pace, reach)
             for i, (pace, reach) in enumerate(STROKES_ALONE)
         ]
-    problem = Problem(
-        sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD
-    )
+    problem = Problem(sheet, tuple(seen), (), tuple(sheet.tolerances), (), GAP_RANGE_RAD)
     begin = perf_counter()
     found = identify(problem, FAST_DIRECT, identify_seed)
     values = {name: math.nan for name in COLUMNS}

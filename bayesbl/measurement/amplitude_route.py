@@ -45,7 +45,7 @@ from bayesbl.probabilities import normal_isf
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.checks import moves
-from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.recording.types import LOAD_POSITION, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.intervals import interval
 from bayesbl.results.store import read_tree
 from bayesbl.results.variables import Group, Variable, datasets, labels, table
@@ -219,8 +219,12 @@ class AmplitudeMeasurer(CurveMeasurer):
                 "a motion.",
                 file=recording.place,
                 found="a reference that varies over time",
-                expected="the direct route, which needs a bench (--bench FILE); `bayesbl init "
-                "--bench` begins one, and `bayesbl identify` of three such motions completes it",
+                expected=(
+                    "--route two_encoders, as the load's position is recorded"
+                    if LOAD_POSITION in recording.channels
+                    else "the direct route, which needs a bench (--bench FILE); `bayesbl init "
+                    "--bench` begins one, and `bayesbl identify` of three such motions completes it"
+                ),
             )
         super().require_usable(recording)
 
