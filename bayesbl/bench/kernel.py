@@ -586,21 +586,17 @@ def next_to_act(y, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def logged_torque(y, repeated, dt, p, c):  # type: ignore[no-untyped-def]
-    """Torque that a sampled drive shows at its tick, N m: what acts, or its mean till the next.
+    """Torque that a sampled drive shows at its tick, N m: the mean of what acts till the next.
 
-    The mean where the delay is longer than a period: so it is d periods old for any d above one,
-    and smooth in d. A recorder that sees each torque for several samples shows the mean till the
-    next of them. Behind a lag that is the mean of what flows.
+    So it is d periods old, and smooth in d. A recorder that sees each torque for several samples
+    shows the mean till the next of them. Behind a lag that is the mean of what flows.
     """
-    delay, period = p[Slot.sampled_control__delay_periods], p[Slot.sampled_control__period_s]
-    held, following, share, span = y[HELD_TORQUE], y[HELD_TORQUE], 1.0, period
+    held = y[HELD_TORQUE]
     if repeated:
-        span = dt
-    elif c.waiting > 0:
-        share = delay - c.waiting
-        following = next_to_act(y, c)
-    elif delay > 0.0:
-        span = delay * period
+        following, share, span = held, 1.0, dt
+    else:
+        following, share = next_to_act(y, c), p[Slot.sampled_control__delay_periods] - c.waiting
+        span = p[Slot.sampled_control__period_s]
     shown = share * held + (1.0 - share) * following
     if p[Slot.current_loop_lag__time_s] > 0.0:
         lag = p[Slot.current_loop_lag__time_s] / span
@@ -620,20 +616,10 @@ def filtered_angle(y, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def instant_share(p):  # type: ignore[no-untyped-def]
-    """How much of its speed a sampled controller has of the instant, not of a difference.
-
-    A delay below none adds to it: all of it is half a period less late.
-    """
-    share = p[Slot.sampled_control__instant_share]
-    return share + max(0.0, -2.0 * p[Slot.sampled_control__delay_periods])
-
-
-@_jit
 def tick(t, y, p, c):  # type: ignore[no-untyped-def]
     """What a sampled controller does at its tick: a difference, a sum, a torque for later."""
     period = p[Slot.sampled_control__period_s]
-    instant = instant_share(p)
+    instant = p[Slot.sampled_control__instant_share]
     for i in range(STATES + c.waiting - 1, STATES, -1):
         y[i] = y[i - 1]
     if c.waiting > 0:

@@ -124,7 +124,7 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     waiting = waiting_torques(parameters)
     states = TICKING + waiting
     oldest = states - 1 if waiting else COMING
-    late = max(0.0, delay) - waiting
+    late = delay - waiting
     plant = np.zeros((TICKING, TICKING))
     moving = contact_matrices(free[None, :])[0]
     plant[: len(moving), : len(moving)] = moving
@@ -144,7 +144,7 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     turned = np.zeros(states)
     turned[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST]], turned[kernel.SENSED_SPEED] = 1.0, -speed_lag
-    instant = kernel.instant_share(parameters)
+    instant = parameters[Slot.sampled_control__instant_share]
     fresh = np.zeros(states)
     fresh[kernel.SENSED_SPEED if speed_lag > 0.0 else [kernel.MOTOR_SPEED, kernel.BELT_SPEED]] = 1.0
     sensed_speed = (1.0 - instant) * turned / period + instant * fresh
@@ -296,11 +296,10 @@ def _noise_through_ticks(
     waiting = waiting_torques(parameters)
     if parameters[Slot.current_loop_lag__time_s] > 0.0:
         torque[kernel.DRIVE_TORQUE] = 1.0
-    elif waiting == 0:
-        torque[ACTING] = 1.0
     else:
         # As the drive logs it: the mean till the next tick (kernel.logged_torque).
-        torque[ACTING], torque[-1] = delay - waiting, 1.0 - (delay - waiting)
+        torque[ACTING] = delay - waiting
+        torque[-1 if waiting else COMING] = 1.0 - torque[ACTING]
     shown = np.empty((source.size, 2))
     for number, value in enumerate(noise_rpm[source] / RPM):
         state = transition @ state + by_noise * value

@@ -221,8 +221,7 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 by_change = changed if item is main else 0.0
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift, by_change)
             if own.name == SAMPLED and "delay_periods" not in own.parameters:
-                least = effect_named(own.name).parameter("delay_periods").low
-                yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0, least=least)
+                yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0)
                 if "instant_share" not in own.parameters:
                     yield Direction(INSTANT_SHARE, UNIFORM_SD, 0.0, positive=True)
         elif effect.always_in or effect.may_change:

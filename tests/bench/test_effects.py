@@ -427,6 +427,12 @@ def test_what_a_faster_recorder_sees_is_smooth_in_delay_and_skew(
         assert 0.0 < np.max(np.abs(steps)) < 1e-3
 
 
+def test_what_the_controller_logs_is_smooth_in_the_delay_from_none_on() -> None:
+    logged = [channels(**sampled(delay=delay))[CURRENT] for delay in (0.0, 1e-3, 2e-3)]
+    first, second = np.max(np.abs(np.diff(logged, axis=0)), axis=1)
+    assert second == pytest.approx(first, rel=0.1)
+
+
 def test_a_short_period_is_a_continuous_controller() -> None:
     # What is late by T is off by what is proportional to T.
     far, near = (np.max(np.abs(channels(**sampled(T)) - channels()), axis=1) for T in (2e-4, 5e-5))
@@ -461,32 +467,17 @@ def test_the_linear_loop_knows_its_ticks() -> None:
 
 
 def test_a_speed_of_the_instant_takes_half_a_period_from_the_loop() -> None:
-    """What damps the ringing is how late the loop is: (1 + d) T."""
+    """What damps the ringing is how late the loop is: (1 + d − s/2) T."""
     instant, difference, later = (
         np.min(rates.real[(rates.imag != 0.0) & (rates.real > -200.0)])
         for rates in (
-            contact_rates(BENCH.vector(**sampled(period, delay)))[0]
-            for period, delay in ((1e-3, -0.5), (5e-4, 0.0), (1e-3, 0.0))
+            contact_rates(
+                BENCH.vector(**sampled(period, 0.0), sampled_control__instant_share=share)
+            )[0]
+            for period, share in ((1e-3, 1.0), (5e-4, 0.0), (1e-3, 0.0))
         )
     )
     assert abs(instant - difference) < 0.1 * abs(later - difference)
-
-
-def test_a_sampled_loop_a_period_ahead_is_not_late() -> None:
-    """Of second order in T it moves the motor as a continuous controller whose gain is K_i T/2
-    higher: half the period, a quarter of the difference, not half."""
-
-    def difference(period_s: float) -> float:
-        gain = BENCH.value("speed_gain_nm_s_per_rad") + 0.5 * period_s * BENCH.value(
-            "integral_gain_nm_per_rad"
-        )
-        ahead, continuous = (
-            np.diff(channels(**given)[POSITION], n=2)
-            for given in (sampled(period_s, delay=-1.0), {"speed_gain_nm_s_per_rad": gain})
-        )
-        return float(np.max(np.abs(ahead - continuous)))
-
-    assert difference(5e-4) < difference(1e-3) / math.sqrt(2.0 * 4.0)
 
 
 @pytest.mark.parametrize("delay", [1, 4])

@@ -79,7 +79,6 @@ SAMPLED_CONTROL = Effect(
         shape(
             "delay_periods",
             "computing and dead time d in periods",
-            low=-1.0,
             high=128.0,  # 8 ms of a bus at 62.5 µs, the shortest period of a drive
             typical=1.0,
             neutral=1.0,
