@@ -1,1 +1,1 @@
-"""One question asked of every view: what does the bench lack? See :mod:`.linear`."""
+"""Search for what the bench lacks, as a posterior over sets of hypotheses. See :mod:`.linear`."""

@@ -1,19 +1,21 @@
-"""What is always taken into account, never selected: laws that bias δ before they show, and drift.
+"""Marginalise, never select: laws that bias δ before they show in the residuals, and drift.
 
-No test at any level finds a law that moves δ by two standard deviations and the residuals by one.
-So it is never asked whether such a law is there: its size is marginalised, with a prior of its
-usual size (:attr:`bayesbl.bench.effect_declaration.Effect.always_in`). Of a law all snapshots share
-one size; beside it, as everything that drifts, each but the first has its own
-(:mod:`bayesbl.bench.parameters`). So the change between snapshots stays sharp where it may.
+No test at any level detects a law that moves δ by two standard deviations and the residuals by one.
+So its presence is not tested. Its size is marginalised, with a prior of its usual size
+(:attr:`bayesbl.bench.effect_declaration.Effect.always_in`). All snapshots share one size of a law.
+Each snapshot but the first also has its own deviation from it, as for everything that drifts
+(:mod:`bayesbl.bench.parameters`). So the change between snapshots stays sharp where possible.
 
-Besides, something may have been changed between snapshots: payload, gains, filters and the recorder
-by people, other parameters by damage; a cable may pull. These are hypotheses with a small
-probability and a wide size, averaged over. One cause may change several parameters: where gravity's
-torque is another, so is the inertia, though what shows of it may look like drift.
+Something may also have been changed between snapshots: people change payload, gains, filters and
+the recorder; damage changes other parameters; a cable may pull. These are hypotheses with a small
+probability and a wide size, averaged over. One cause may change several parameters. A change of
+gravity's torque comes with a change of inertia, although the visible part of it may look like
+drift.
 
-All is linear at a fit (:mod:`bayesbl.model_search.linear`). What is far from where the fit has it
-is made one of its unknowns, fitted and sampled as any other; linear is the rest. Laws that act
-alike may be far together and none of them alone: then the one that explains most by itself is.
+Everything is linear at a fit (:mod:`bayesbl.model_search.linear`). A term whose size is far from
+its value in the fit becomes an unknown of the fit, fitted and sampled like any other; the others
+stay linear. Laws that act alike may be far from zero together although none is so alone. Then the
+one that explains most by itself becomes an unknown.
 """
 
 from __future__ import annotations
@@ -50,85 +52,91 @@ from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 SEEN_STEP = 4.0
-"""Standard deviations of noise by which the signals change over a derivative's step: less drowns in
-the simulator's own error, more is curved."""
+"""Change of the signals over a derivative's step, in standard deviations of noise. A smaller change
+drowns in the simulator's own error; a larger one is distorted by curvature."""
 
 FIRST_STEP, LARGEST_STEP = 0.3, 2.0
-"""Of derivatives, in usual sizes, changes or budgets."""
+"""Steps of derivatives, in usual sizes, changes or drift budgets."""
 
 SHAFT_DAMPING_SHARE = 0.25
-"""Of the shaft's damping, which no data sheet states and every bench has from somewhere."""
+"""Relative standard deviation of the shaft's damping, which no data sheet states and every bench
+takes from somewhere."""
 
 CHANGED_TOGETHER: dict[str, tuple[str, ...]] = {
     "payload": ("gravity_torque_nm", "load_inertia_kg_m2"),
     "controller_gains": ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad"),
 }
-"""Bench parameters that one cause changes at once."""
+"""Bench parameters that one cause changes together."""
 
 CAUSES = CHANGED_TOGETHER | {
     name: (name,) for name in CORRECTABLE_PARAMETERS if name != "gravity_torque_nm"
 }
-"""What may be changed of a bench's parameters. The inertia alone is with the posture of the axes
-behind the joint; gravity changes with a mass, so never alone. Effects say it of themselves."""
+"""Bench parameters that each cause may change. The inertia changes alone with the posture of the
+axes behind the joint. Gravity changes with a mass, so never alone. Effects declare their own
+changes."""
 
 CHANGED_SHARE = 0.1
-"""Of a parameter: usual size of a change that is no drift."""
+"""Usual relative size of a change that is not drift."""
 
 CHANGED = 0.05
-"""Probability of one cause before a snapshot, that nobody told of. A judgement: with 14 causes it
-leaves half of all joints as they were. Where data speak for none it costs nothing; where drift
-explains a change nearly as well, it decides how much of the interval is left to it."""
+"""Prior probability that one cause, unreported, changed something before a snapshot. A judgement:
+with 14 causes, it leaves half of all joints unchanged. If the data support no change, it costs
+nothing. If drift explains a change nearly as well, it decides how much of the interval the change
+gets."""
 
 MOST_CHANGED = 3
-"""Parameters that were changed."""
+"""Largest number of causes in one set."""
 
 ONE_SPEED = 0.02
-"""Share by which speeds differ too little to tell friction's laws apart."""
+"""Largest relative difference of speeds that does not distinguish the laws of friction."""
 
 FAR = 3.0
-"""Posterior standard deviations between a size and none, from which it is an unknown of the fit."""
+"""Distance of a size from zero, in posterior standard deviations, beyond which it becomes an
+unknown of the fit."""
 
 MOST_AGREEING = 2.0
-"""χ² per sample up to which a fit may agree with the recordings: 1 by the recorder's noise, more by
-noise that goes round the loop and rounding that repeats. What cannot get there explains nothing,
-and another question is asked of the recordings."""
+"""Largest χ² per sample of a fit that may agree with the recordings: 1 by the recorder's noise,
+more by noise fed back by the loop and by rounding that repeats. A fit above it explains nothing,
+and the recordings need another question."""
 
 ABSENT = 0.5
-"""Probability that a joint has nothing of a law that is there or is not. A judgement: even odds."""
+"""Prior probability that a law which a joint either has or has not is absent. A judgement: even
+odds."""
 
 LEAST_SHARE = 0.01
-"""Share of a positive parameter that no drift or change takes."""
+"""Smallest share of a positive parameter that remains after any drift or change."""
 
 SAMPLED = "sampled_control"
 DEAD_TIME = Slot.sampled_control__delay_periods.name
 INSTANT_SHARE = Slot.sampled_control__instant_share.name
 UNIFORM_SD = 1.0 / math.sqrt(3.0)
-"""Of a share of which nothing is known, between 0 and 1: its root mean square."""
+"""Root mean square of a share that may be anything between 0 and 1."""
 
 UNSTATED_PERIODS = 1.0
-"""Of the dead time of a sampled controller: a manual states its period, and hardly what buses add.
-A judgement: one more stage that the same clock paces."""
+"""Standard deviation of a sampled controller's dead time, in periods. A manual states the period,
+but hardly ever the delay of buses. A judgement: one more stage on the same clock."""
 
 USUAL_PERIODS_S = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)
-"""Of the speed controllers of drives and robots."""
+"""Usual periods of the speed controllers of drives and robots."""
 
 USUAL_DELAYS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Periods of dead time from which a controller is fitted, with its speed of the instant and not."""
+"""Dead times in periods from which a controller is fitted, with instantaneous speed and without."""
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
 USEFUL_RATIO, USEFUL_LEVEL = 2.0, 0.9
-"""Of the ends of an interval, from which on it says too little of a gap. A judgement: it no longer
-tells a worn joint from one twice as worn."""
+"""Ratio of the interval's ends beyond which it says too little about a gap, and the interval's
+level. A judgement: beyond it, a worn joint is not distinguished from one twice as worn."""
 
 WIDTH_DRAWS = 1000
 
 MOST_MORE = 20.0
-"""χ² beyond the best, up to which another loop is fitted to the end. It limits time: e⁻¹⁰ as likely
-at most by itself, though laws beside it may make up for some of it."""
+"""Excess of χ² over the best loop, up to which another loop is fitted fully. It limits time. Beyond
+it, a loop is at most e⁻¹⁰ as likely by itself, though laws may make up for some of this."""
 
 MOST_ROUNDS = 6
-"""Laws freed one after another. It limits time only: the check decides on what is still far."""
+"""Largest number of laws freed one after another. It only limits time: the check decides on those
+that are still far."""
 
 MOST_HALVES = 4
 MOST_TRIES = 20
@@ -137,26 +145,26 @@ SIZES_DRAWN = 1000
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """One way in which a joint is not quite its bench.
+    """One way in which a joint may differ from its bench.
 
     Attributes
     ----------
     slot
-        As :meth:`Bench.vector` takes it.
+        Parameter name as :meth:`Bench.vector` takes it.
     usual, drift, changed
-        Standard deviations in the slot's unit: of what all snapshots share, of a snapshot's
-        difference to the first by itself, and where people changed it; 0 for none.
+        Standard deviations in the slot's unit, 0 for none: of the deviation that all snapshots
+        share, of a snapshot's own drift relative to the first, and of a change made by people.
     positive
-        The shared size is half-normal.
+        Whether the shared size has a half-normal prior.
     least
         Smallest size that the simulator takes without tiny steps.
     effect
-        Of the catalogue, where the bench has none such.
+        Effect of the catalogue that the bench lacks; ``None`` if it has the slot.
     is_fitted
-        The bench has its most probable value already.
+        Whether the bench already has the most probable value.
     instead_of, per_unit
-        An unknown of the fit that gives way by so much for each unit of this, or none: what only
-        the two together show would drown in what they share.
+        An unknown of the fit that is reduced by ``per_unit`` for each unit of this direction, or
+        none. Otherwise the small difference of the two would drown in their common effect.
     """
 
     slot: str
@@ -172,12 +180,12 @@ class Direction:
 
     @property
     def size(self) -> float:
-        """Of the order of what there may be."""
+        """Order of magnitude of the deviation."""
         return self.usual or self.drift or self.changed
 
     @property
     def is_law(self) -> bool:
-        """A law that the bench lacks and of which the simulator takes no negative size."""
+        """Whether it is a law that the bench lacks and whose size cannot be negative."""
         return self.effect is not None and self.is_not_negative
 
     @property
@@ -187,16 +195,16 @@ class Direction:
 
 
 def directions(bench: Bench, stated: Mapping[str, float]) -> list[Direction]:
-    """All that may be, on a bench.
+    """All directions in which a joint may differ from a bench.
 
     ``stated``: relative standard deviations of drift by name, in place of the defaults; 0 for none.
-    What a bench states with a tolerance has its uncertainty there.
+    Parameters with a tolerance have their shared uncertainty there.
     """
     return [d for d in _directions(bench, stated) if d.usual + d.drift + d.changed > 0.0]
 
 
 def laws(bench: Bench) -> list[Direction]:
-    """Those that are in recordings of one time, between which nothing drifts."""
+    """Directions for recordings made at one time, between which nothing drifts."""
     return [replace(d, drift=0.0, changed=0.0) for d in directions(bench, {}) if d.usual > 0.0]
 
 
@@ -250,10 +258,11 @@ def _stated_sd(effect: BenchEffect, name: str) -> float:
 
 
 def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
-    """The bench with the friction of motor and load that every joint has and few data sheets give.
+    """Add the friction of motor and load, which every joint has and few data sheets state.
 
-    Of usual size, half-normal from none; as viscous friction where the joint turns at one speed,
-    beside which :func:`_dry_shares` stands. What the bench has already stays as it is.
+    Its prior is half-normal from zero, with the usual size. If the joint turns at one speed, all
+    friction is viscous, and :func:`_dry_shares` allows for a dry part. Friction that the bench
+    already has stays as it is.
     """
     laws = ["viscous"]
     speeds = [r.reference_speed_rpm for r in recordings]
@@ -272,9 +281,10 @@ def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """Directions in all snapshots (``recording`` is ``None``), or beyond that in one.
+    """Directions of one linear term, in all snapshots (``recording`` is ``None``) or as a deviation
+    in one.
 
-    ``cause``: of a change; empty for a law, or drift, of one direction.
+    ``cause``: of a change; empty for a law or drift, which has one direction.
     """
 
     directions: tuple[Direction, ...]
@@ -289,9 +299,9 @@ class Label:
         return [d.usual if self.recording is None else d.drift for d in self.directions]
 
     def can_be_simulated(self, sizes: FloatArray) -> bool:
-        """Whether it can be an unknown, of these sizes in standard deviations, (k,).
+        """Whether the term can be an unknown, with these sizes in standard deviations, (k,).
 
-        A law of less than none, or than the simulator takes, stays linear.
+        A law stays linear if its size is negative, or below the smallest that the simulator takes.
         """
         first = self.directions[0]
         is_less = self.recording is None and first.is_law and sizes[0] * first.usual <= first.least
@@ -299,7 +309,7 @@ class Label:
 
     @property
     def is_lag(self) -> bool:
-        """Of the speed loop in all snapshots."""
+        """Whether it is a lag of the speed loop in all snapshots."""
         if self.cause:
             return False
         name, _, parameter = self.directions[0].slot.partition("__")
@@ -307,19 +317,19 @@ class Label:
 
     @property
     def is_positive(self) -> bool:
-        """Less than none of it is something else."""
+        """Whether a negative size would be something else."""
         return self.directions[0].is_law and not self.is_lag
 
     @property
     def hypothesis(self) -> str:
-        """Name, with the snapshot where it is of one."""
+        """Name, followed by the snapshot if it acts in one only."""
         name = self.directions[0].slot.replace("__", ".")
         if self.cause:
             name = f"{self.cause} changed"
         return name if self.recording is None else f"{name} ({self.recording})"
 
     def term(self, columns: FloatArray) -> Term:
-        """As the engine takes it; ``columns`` are by one standard deviation each, (N, k)."""
+        """The term for the linear search; ``columns``, (N, k), are per standard deviation."""
         first = self.directions[0]
         positive = self.recording is None and first.positive
         return Term(
@@ -327,39 +337,40 @@ class Label:
             columns,
             positive,
             always=not self.cause,
-            # Friction is partly dry in any joint.
+            # Part of the friction is dry in any joint.
             absent=ABSENT if positive and first.effect and not first.instead_of else 0.0,
             excludes=frozenset(self._others()) if self.cause else frozenset(),
         )
 
     def _others(self) -> Iterator[str]:
-        """Hypotheses that change one of its parameters too: each is changed once."""
+        """Other hypotheses that change one of the same parameters: each parameter is changed once."""
         own = {d.slot for d in self.directions}
         for cause, slots in CAUSES.items():
             if cause != self.cause and own & set(slots):
                 yield replace(self, cause=cause).hypothesis
 
     def unknowns(self, vector: FloatArray, sizes: FloatArray) -> list[Unknown]:
-        """As unknowns of a fit, with the prior that a Cauchy one is near these sizes, (k,), in
-        standard deviations: a law that is many times as large as usual is not pulled back.
+        """Unknowns of a fit for this term.
 
-        ``vector``, (slots,): what they differ from, the bench's values or the first snapshot's.
+        Their normal prior has the width of a Cauchy prior near these sizes, (k,), in standard
+        deviations. So a law many times larger than usual is not pulled back. ``vector``, (slots,):
+        the values that they deviate from, of the bench or of the first snapshot.
         """
         unknowns = []
         widths = np.sqrt(0.5 * (1.0 + sizes**2)) * self.scales
         for own, scale in zip(self.directions, widths.tolist(), strict=True):
             value = float(vector[Slot[own.slot]])
-            # Of a lag far from none there is at least what the simulator takes without tiny steps.
+            # A lag that is far from zero is at least what the simulator takes without tiny steps.
             is_bounded = own.is_not_negative or own.positive or value > 0.0
             least = own.least if is_bounded else -math.inf
             if self.recording is None:
                 high = simulated_range(own.slot)[1]
                 unknowns.append(Unknown(own.slot, least, high, centre=value, sd=scale))
                 continue
-            # A change is as large as the recordings have it.
+            # The recordings alone decide the size of a change.
             sd = scale / CHANGED_SHARE if self.cause else scale
             low = LEAST_SHARE * value - value if is_bounded else -math.inf
-            # In proportion to the value that the range is of, not to the bench's.
+            # In proportion to the value of this range, not to the bench's value.
             unknowns.append(
                 Unknown(own.slot, low, sd=sd, recording=self.recording, added=True, reference=value)
             )
@@ -368,22 +379,22 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """A fit, and what stands beside it.
+    """A fit with the terms linearised at it: laws, drift and changes.
 
     Attributes
     ----------
     labels
-        Of each term beside the fit.
+        One label for each term.
     posterior
-        Of sizes and changes, in standard deviations.
+        Posterior of the terms' sizes, in standard deviations.
     sizes
-        Their draws, shape (n, columns of all terms).
+        Draws of these sizes, shape (n, columns of all terms).
     residual
-        Of the fit with all at their mean, shape (N,).
+        Residual with all terms at their posterior mean, shape (N,).
     lag_s
-        By which the loop is late in the fit itself.
+        Total delay of the loop in the fit itself.
     loops
-        Where the fit has a loop that was chosen: rough fits when it was, and with each other loop
+        Pairs of rough fits, made when the loop was chosen: with the chosen loop, and with another
         that fits about as well (:func:`other_loops`).
     """
 
@@ -396,11 +407,13 @@ class Beside:
     loops: tuple[tuple[SimulatedFit, SimulatedFit], ...] = ()
 
     def far(self) -> list[tuple[Label, FloatArray]]:
-        """What data put far from where the fit has it, that by which alone χ² falls most first.
+        """Terms far from their values in the fit, each with its best size alone in standard
+        deviations.
 
-        Each with its sizes alone, in standard deviations. Far is what they put elsewhere than a fit
-        without it has it, or surely say has changed; or, where that is so of all together only, any
-        law. Lags are alike where all is linear: where one is far, in either sense, any may be it.
+        A term is far if its posterior mean is far from zero, or if a change is almost certain. If
+        only all terms together are significant, every shared law is a candidate. Lags act alike in
+        the linear regime: if one is far, with either sign, all lags are candidates. The term that
+        alone lowers χ² most comes first.
         """
         far = {k for k in range(len(self.labels)) if self._is_far(k, self.by_label()[k])}
         shared = {k for k, label in enumerate(self.labels) if label.recording is None}
@@ -427,21 +440,21 @@ class Beside:
             surely = itertools.chain(self.posterior.named, *self.posterior.confounded)
             return label.hypothesis in surely
         mean = float(drawn[:, 0].mean())
-        # Less than none of a law is none of it, but something else: that stays linear.
+        # A negative size of a law means something else, so it stays linear.
         return (mean if label.is_positive else abs(mean)) > FAR * float(drawn[:, 0].std())
 
     @property
     def has_discrepancy(self) -> bool:
-        """Whether what nothing explains is in the posterior."""
+        """Whether the posterior includes a discrepancy that no law explains."""
         return bool(self.posterior.linearised.groups)
 
     @property
     def is_possible(self) -> bool:
-        """Whether no law is surely less than none: then it stands for something else.
+        """Whether no law has a surely negative size: then it would stand for something else.
 
-        By more than its form may be off: all the rest is no law to the last digit either.
-        Lags are only so together, with what the fit has of them: what one part of a loop
-        compensates another is late by.
+        The size must be negative by more than the error of the law's form, because the other laws
+        are inexact too. For lags only their sum counts, together with the lags in the fit: one part
+        of a loop compensates the delay of another.
         """
         sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), self.lag_s)}
         least: dict[str, float] = {}
@@ -456,20 +469,20 @@ class Beside:
 
     @cached_property
     def check(self) -> tuple[RepeatingPower, ...]:
-        """What repeats beside the fit with all this."""
+        """Predictive check of the residual with all terms."""
         return tuple(disagreements(replace(self.fit, residual=self.residual)))
 
     @property
     def explains(self) -> bool:
-        """Whether the fit with all this agrees with the recordings, and can be."""
+        """Whether the fit with all terms agrees with the recordings and is physically possible."""
         return self.is_possible and agrees(self.check)
 
     @property
     def is_useful(self) -> bool:
-        """Whether a fit beside which something repeats that nothing explains has gaps of use.
+        """Whether the gaps are useful although something unexplained repeats.
 
-        A fit that leaves as much again as noise does is no place to be linear at, and without the
-        discrepancy beside it the draws know nothing of what repeats.
+        If χ² is twice what noise leaves, a linearisation at the fit is meaningless. Without a
+        discrepancy term, the draws do not include what repeats.
         """
         fit = self.fit
         if not self.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
@@ -487,12 +500,13 @@ class Beside:
         return True
 
     def by_label(self) -> list[FloatArray]:
-        """Draws of the sizes of each label, shape (n, directions)."""
+        """Draws of each label's sizes, shape (n, directions) each."""
         return np.split(self.sizes, np.cumsum([len(own.directions) for own in self.labels])[:-1], 1)
 
 
 def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
-    """What stands beside a fit; what is an unknown of its model already is left out."""
+    """Linearise laws, drift and changes at a fit; those that are unknowns of its model are left
+    out."""
     model, d = fit.model, fit.point.size
     labels = _labels(fit, among)
     width = sum(len(label.directions) for label in labels)
@@ -501,7 +515,7 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     rows, acting, columns = [], [], []
     for place, (jacobian, residual) in enumerate(zip(jacobians, residuals, strict=True)):
         own, by = _columns(fit, place, labels)
-        # Only inner products matter: a triangle has those of all samples.
+        # Only inner products matter, so the R factor replaces all samples.
         triangle = np.linalg.qr(np.column_stack([jacobian, by, residual]), mode="r")
         row = np.zeros((len(triangle), d + width + 1))
         row[:, [*range(d), *(d + k for k in own), d + width]] = triangle
@@ -531,7 +545,7 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
 
 
 def _lag_s(fit: SimulatedFit) -> float:
-    """By which the fitted loop is late: lags, and the periods that a controller takes."""
+    """Total delay of the fitted loop: lags, and the periods of a sampled controller."""
     matrix = fit.model.vectors(fit.point[None], fit.model.recordings[0])
     lags = matrix[:, [Slot.current_loop_lag__time_s, Slot.speed_sensor_lag__time_s]]
     return float(lags.sum() + sampled_lateness_s(matrix)[0])
@@ -540,7 +554,8 @@ def _lag_s(fit: SimulatedFit) -> float:
 def always_terms(
     fit: SimulatedFit, among: Sequence[Direction]
 ) -> tuple[tuple[Label, ...], list[FloatArray]]:
-    """Laws and drift beside a fit with their columns, (N, k) each; without causes of a change."""
+    """Labels of laws and drift at a fit with their columns, (N, k) each; without causes of a
+    change."""
     labels = tuple(label for label in _labels(fit, among) if not label.cause)
     ends = np.cumsum([0, *(len(label.directions) for label in labels)])
     parts = fit.model.by_recording(fit.residual)
@@ -555,14 +570,15 @@ def always_terms(
 
 
 def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
-    """How much of each side's friction is dry, where a fit at one speed takes all for viscous.
+    """Dry share of each side's friction, for a fit at one speed that takes all friction for
+    viscous.
 
-    Dry friction brakes a load that crosses the gap no more where it crosses faster, and damps no
-    ringing of the motor. Half-normal.
+    Dry friction does not brake a load more when it crosses the gap faster, and it does not damp the
+    motor's ringing. Half-normal.
     """
     model = fit.model
     stated = {effect.name for effect in model.bench.effects}
-    # What a bench says of its viscous friction is of that alone.
+    # Viscous friction that the bench states has no dry share.
     open_to_all = {u.name for u in model.unknowns if u.recording is None and u.centre == 0.0}
     motor_rad_per_s = (
         max(abs(observation.reference_speed_rpm) for observation in model.recordings) / RPM
@@ -584,7 +600,7 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
 
 
 def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
-    """Each direction for all snapshots together, and drift and causes for each but the first."""
+    """Labels of each direction in all snapshots, and of drift and causes in each but the first."""
     model, among = fit.model, [*among, *_dry_shares(fit)]
     taken = {(u.name, u.recording) for u in model.unknowns}
     owners = [observation.name for observation in model.recordings[1:]]
@@ -605,7 +621,10 @@ def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
 def _columns(
     fit: SimulatedFit, place: int, labels: Sequence[Label]
 ) -> tuple[list[int], FloatArray]:
-    """Columns that act in a recording, and its whitened signals by each, shape (N, acting)."""
+    """Indices of the columns that act in a recording, and these columns of its whitened signals.
+
+    Returns the columns with shape (N, acting).
+    """
     model, observation = fit.model, fit.model.recordings[place]
     every = [
         (label.recording, direction, scale)
@@ -633,13 +652,13 @@ def _slopes(
     place: int,
     among: Sequence[Direction],
 ) -> FloatArray:
-    """Of the whitened signals of a recording by the last unknowns of its model, (k, N)."""
+    """Derivatives of a recording's whitened signals by the last unknowns of its model, (k, N)."""
     own = point.size - len(among) + np.arange(len(among))
     steps = np.array([max(FIRST_STEP * d.size, d.least) for d in among])
     here = model.whitened_of(point[None], place)[0]
     values = model.vectors(point[None], model.recordings[place])[0]
     at = values[[Slot[d.slot] for d in among]]
-    # Towards the end of what the simulator takes that is farther, where it leaves no room above.
+    # Step towards the farther end of the simulator's range if there is no room above.
     low, high = np.array([simulated_range(d.slot) for d in among]).T
     farthest = LARGEST_STEP * np.array([d.size for d in among])
     signs = np.where((high - at < farthest) & (at - low > high - at), -1.0, 1.0)
@@ -649,7 +668,7 @@ def _slopes(
         if direction.instead_of:
             other = model.index(direction.instead_of)
             giving_way[k, other] = -direction.per_unit
-            # A share of what friction there is in this recording, which may have changed.
+            # A share of the friction in this recording, which may have changed.
             share[k] = max(values[Slot[direction.instead_of]], 0.0) / point[other]
             room = min(share[k], 1.0) * point[other] - model.low[other]
             farthest[k] = min(farthest[k], room / direction.per_unit)
@@ -660,7 +679,7 @@ def _slopes(
         by = signs[pending] * steps[pending]
         points[np.arange(pending.size), own[pending]] = by
         points += by[:, None] * giving_way[pending]
-        # Rounding must not take what gives way below zero.
+        # Rounding must not take the reduced unknown below zero.
         points = np.clip(points, model.low, model.high)
         changes = np.nan_to_num(here - model.whitened_of(points, place), nan=0.0)
         slopes[pending] = changes / by[:, None]
@@ -675,7 +694,7 @@ def _slopes(
 
 
 def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
-    """The bench with every law that it lacks, of no size."""
+    """The bench with every law that it lacks, at size zero."""
     have = {effect.name for effect in bench.effects}
     added = [
         BenchEffect(
@@ -688,12 +707,12 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
 
 
 def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = silent) -> Beside:
-    """The fit with what data put far away among its unknowns, and what stands beside that.
+    """Free the terms that are far, one after another, and linearise the others at the resulting
+    fit.
 
-    One after another: what is far for a lack of another is so no more when that is there.
-
-    Where all that does not explain the recordings, nothing is freed: a misfit has put it there, and
-    takes the gaps along.
+    A term may be far only because another is missing, so one is freed at a time. If the result does
+    not explain the recordings, nothing is freed: a misfit moved the terms, and would move the gaps
+    too.
     """
     nominal = rest = beside(fit, among)
     loops: list[tuple[SimulatedFit, SimulatedFit]] = []
@@ -715,9 +734,10 @@ def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = 
 
 
 def other_loops(rest: Beside) -> list[SimulatedFit]:
-    """Fits with the loops that may be the joint's as well, and all that was freed since.
+    """Fits with the other loops that may be the joint's, and everything freed since they were
+    tried.
 
-    Which it is the recordings often cannot tell, and each has its own gap.
+    The recordings often cannot tell which loop is the right one, and each gives its own gap.
     """
     fit, fits = rest.fit, []
     for chosen, other in rest.loops:
@@ -737,18 +757,17 @@ def other_loops(rest: Beside) -> list[SimulatedFit]:
 
 
 def common_unknowns(first: SimulatedSignals, second: SimulatedSignals) -> Iterator[Unknown]:
-    """What two models begin with alike."""
+    """The common leading unknowns of two models."""
     pairs = zip(first.unknowns, second.unknowns, strict=False)
     return (own for own, _ in itertools.takewhile(lambda pair: pair[0].key == pair[1].key, pairs))
 
 
 def _nearer(rest: Beside, among: Sequence[Direction]) -> list[SimulatedFit]:
-    """With one more of what is far among the unknowns, the best and its rivals; empty where that
-    leads nowhere.
+    """Free one more of the far terms: the best fit and its rivals; empty if no fit is better.
 
-    Lags of the loop are much alike where all is linear. So where one of them promises most, or the
-    fit is far off, all of them are fitted, and controllers of usual periods; before them the dead
-    time of a controller that the bench states.
+    Lags of the loop are much alike in the linear regime. So if a lag promises most, or the fit is
+    far off, all lags are fitted, and also controllers with usual periods. If the bench states a
+    sampled controller, its dead time comes before them.
     """
     fit, far = rest.fit.with_derivatives(), rest.far()
     lags = [own for own in far if own[0].is_lag]
@@ -765,7 +784,7 @@ def _nearer(rest: Beside, among: Sequence[Direction]) -> list[SimulatedFit]:
 
 
 def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | None:
-    """With one label among its unknowns, from these sizes; ``None`` where nothing is simulated."""
+    """Free one label, starting from these sizes; ``None`` if no start can be simulated."""
     bench = with_neutral(fit.model.bench, far.directions)
     first = fit.model.vectors(fit.point[None], fit.model.recordings[0])
     own = far.unknowns((bench.vector() if far.recording is None else first)[0], sizes)
@@ -782,12 +801,12 @@ def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | N
 
 
 def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
-    """Fits with a sampled controller, each with a dead time of its own: χ² has many minima in it.
+    """Fits with a sampled controller, each from its own dead time: χ² has many minima in it.
 
-    Of the period that the bench states, or else of usual ones, the one that promises most first,
-    and from there the others, as late. A period that is free is no unknown of a fit: χ² changes
-    from tick to tick. None where a dead time is stated or fitted already, nor of usual periods in a
-    motion, whose reference comes in steps too.
+    The period is the bench's, or each of the usual ones. The most promising comes first, and the
+    others start from its fit with the same delay. A free period is no unknown of a fit, because χ²
+    changes from tick to tick. There are no fits if a dead time is already stated or fitted. Usual
+    periods are not tried for motions, whose reference is in steps as well.
     """
     moving = any(observation.motion is not None for observation in fit.model.recordings)
     stated = next((e for e in fit.model.bench.effects if e.name == SAMPLED), None)
@@ -831,18 +850,20 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
 
 
 def _goal(fit: SimulatedFit) -> float:
-    """χ² up to which a fit to the same recordings may agree with them."""
+    """Largest χ² of a fit that may agree with the recordings."""
     return MOST_AGREEING * fit.residual.size
 
 
 def _fitted_from(
     model: SimulatedSignals, fit: SimulatedFit, centres: Sequence[float], by: FloatArray
 ) -> SimulatedFit | None:
-    """Fitted roughly from where all is linear, ``by`` from the fit and the centres, (d,), or nearer
-    by halves where that cannot be simulated."""
+    """Fit roughly from the linear prediction, ``by`` (d,) away from the fit and the centres.
+
+    If the start cannot be simulated, the move is halved.
+    """
     for _ in range(MOST_HALVES):
         start = np.concatenate([fit.point, centres]) + by
-        # What is linear may promise less than none of a law.
+        # A linear promise may be negative for a law.
         start = np.clip(start, model.low, model.high)
         if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
             known, goal = fit.derivatives(), _goal(fit)
@@ -854,16 +875,16 @@ def _fitted_from(
 def marginalised(
     posterior: DirectPosterior, rest: ModelPosterior, seed: np.random.SeedSequence
 ) -> DirectPosterior:
-    """Draws that no longer take laws and parameters of the bench to be as it has them.
+    """Marginalise the laws and bench parameters that the draws hold fixed.
 
-    ``rest``: of what stands beside the fit.
+    ``rest``: posterior of the terms linearised at the fit.
 
-    Where the recordings show that the gap's edges are soft, nor is δ known more sharply than these
-    edges are: where teeth begin to touch depends on how, which no recording tells. All snapshots
-    share that.
+    If the recordings show that the gap's edges are soft, δ is uncertain by as much: where teeth
+    begin to touch depends on the contact law, which no recording shows. All snapshots share this
+    error.
 
-    Within the ranges of the unknowns: a draw that would leave them is moved by another's shift, and
-    stays where it was where none is within.
+    Draws stay within the ranges of the unknowns. A draw that would leave them gets another draw's
+    shift, or stays where it was if none fits.
     """
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
@@ -874,7 +895,7 @@ def marginalised(
     for _ in range(MOST_TRIES):
         tried = flat[outside] + shifts[rng.permutation(len(flat))[: outside.size]]
         if rest.linearised.groups:
-            # What nothing explains is in no catalogue, so neither is the side to which it moves δ.
+            # A discrepancy is in no catalogue, so the direction in which it moves δ is unknown too.
             lean = shifts[:, gaps].mean(axis=0)
             tried[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
@@ -892,7 +913,7 @@ def marginalised(
 def edge_variances(posterior: DirectPosterior) -> FloatArray:
     """Draws of the variance of the gap's edges, rad², shape (chain, draw).
 
-    Zero where the recordings do not show that these are soft.
+    Zero if the recordings do not show that the edges are soft.
     """
     names = [unknown.name for unknown in posterior.fit.model.unknowns]
     if EDGE_VARIANCE not in names:
@@ -903,8 +924,11 @@ def edge_variances(posterior: DirectPosterior) -> FloatArray:
 def _chi_square_beside(
     fit: SimulatedFit, among: Sequence[Direction]
 ) -> Callable[[FloatArray], tuple[float, FloatArray]]:
-    """χ² that is left of a residual (N,), and the shift of the fit's unknowns with it, (d,), where
-    they, laws and drift may move within their priors."""
+    """Make a function of a residual (N,): its minimal χ², and the shift of the fit's unknowns,
+    (d,).
+
+    Unknowns, laws and drift vary within their priors.
+    """
     _, columns = always_terms(fit, among)
     own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
     laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])

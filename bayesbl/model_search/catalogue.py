@@ -1,7 +1,8 @@
-"""Hypotheses of what a bench lacks: the catalogue's effects and wrong bench parameters.
+"""Hypotheses about what a bench lacks: the catalogue's effects and wrong bench parameters.
 
-Each has a usual size. Its prior is a Cauchy one of that scale, half of one where physics gives a
-sign: what is there may be much stronger than usual.
+The prior of a hypothesis' size is a Cauchy distribution whose scale is the usual size, or a
+half-Cauchy distribution where physics fixes the sign. Heavy tails allow for effects much stronger
+than usual.
 """
 
 from __future__ import annotations
@@ -24,43 +25,43 @@ from bayesbl.recording.types import FloatArray
 Kind = Literal["effect", "parameter"]
 
 HARMONICS = (2.0, 3.0, 4.0)
-"""Multiples of an order that may be its harmonics: an eccentricity has them, and a ripple."""
+"""Multiples of an order that may be its harmonics. Eccentricities and ripples have harmonics."""
 
 RESONANCE_SPACING = 1.35
-"""Ratio of neighbouring frequencies of an elastic part, from which a fit finds the one between."""
+"""Ratio of neighbouring grid frequencies of an elastic part. A fit converges to any frequency
+between two of them."""
 
 USUAL_SHARE = 0.1
-"""Of a parameter's value: usual size by which it is wrong."""
+"""Usual relative error of a bench parameter."""
 
 PARAMETER_RANGE = 0.5
-"""Half-width of the range a wrong parameter is sought in, as a share of its value."""
+"""Half-width of a wrong parameter's search range, relative to its value."""
 
 _SCANNED_SHARES = (0.0, 0.03, 0.1, 0.3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One explanation: unknowns to free beside those of the nominal comparison.
+    """One hypothesis: unknowns added to those of the nominal model.
 
     Attributes
     ----------
     name
-        Of the effect or of the bench parameter.
+        Name of the effect or bench parameter.
     unknowns
-        Named as :meth:`Bench.vector` takes them.
+        Unknowns to add, named as :meth:`Bench.vector` takes them.
     starts
-        Coordinates to start from besides neutral ones, shape (s, k). Where a size is not neutral,
-        what is promised is by the change over the whole of it.
+        Starting coordinates besides ``neutral``, shape (s, k). If a start has a nonzero size, the
+        linear promise is based on the change over the full size.
     neutral
-        Coordinates at which nothing is added, shape (k,).
+        Coordinates at which the candidate changes nothing, shape (k,).
     scanned
-        Coordinates of unknowns, by index, whose combinations are tried where the nominal fit may be
-        far off.
+        Grids of coordinates by index of the unknown. All combinations are tried where the nominal
+        fit may be far off.
     recording
-        The only one that it acts in; ``None`` for all.
+        Name of the only recording that the candidate acts in; ``None`` for all.
     usual
-        Size of each unknown that changes something at the neutral point, shape (k,); NaN for what
-        only says how.
+        Usual size of each amplitude, shape (k,); NaN for shape parameters.
     """
 
     name: str
@@ -75,32 +76,32 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name, with the recording where it acts in one only."""
+        """Name, followed by the recording if the candidate acts in one only."""
         return self.name if self.recording is None else f"{self.name} ({self.recording})"
 
     @property
     def order(self) -> float | None:
-        """Of the motor; ``None`` of what does not repeat with its angle."""
+        """Motor order; ``None`` if the candidate does not repeat with the motor angle."""
         order = None if self.effect is None else self.effect.parameters.get("order")
         return None if order is None else order.value
 
     @property
     def key(self) -> tuple[str, float | None]:
-        """What tells candidates apart."""
+        """Key that identifies a candidate: label and order."""
         return self.label, self.order
 
     @property
     def unknown_keys(self) -> frozenset[tuple[str, str | None]]:
-        """Of its unknowns, that no other candidate beside it may have."""
+        """Keys of its unknowns. Two candidates of one set share none."""
         return frozenset(unknown.key for unknown in self.unknowns)
 
     def bars(self, other: Candidate) -> bool:
-        """Whether another has no place beside it.
+        """Whether the other candidate cannot be in one set with this one.
 
-        It is the same, shares an unknown or is the same law but for one term; or its order is a
-        low multiple of this one's, and may be its harmonic: a real ripple has several orders, a
-        bench one of each effect, so beside it another effect at a harmonic has no rival and would
-        be named whatever it is.
+        That is so if both are the same, share an unknown, or are the same law but for one term. It
+        is also so if the other's order is a low multiple of this one's, because it may then be a
+        harmonic. A real ripple has several orders, but the bench has one order per effect. Another
+        effect at a harmonic would have no rival, and would be named whatever the harmonic's cause.
         """
         order, own = other.order, self.order
         return (
@@ -112,26 +113,26 @@ class Candidate:
         )
 
     def _holds(self, other: Candidate) -> bool:
-        """Whether the other's law is this one but for one term."""
+        """Whether the other candidate's law is this one without one term."""
         law = effect_named(self.name).torque if self.kind == "effect" else None
         same_place = other.recording == self.recording
         return law is not None and law.contains == other.name and same_place
 
     @property
     def is_periodic(self) -> bool:
-        """It repeats with the motor angle, its phases to be fitted first."""
+        """Whether it repeats with the motor angle; its phases are then fitted first."""
         return self.effect is not None and effect_named(self.name).is_periodic
 
     @property
     def amplitudes(self) -> list[int]:
-        """Places of the unknowns that change something at the neutral point."""
+        """Indices of the unknowns that change the prediction at the neutral point."""
         if self.effect is None:
             return list(range(len(self.unknowns)))
         return self._places("amplitude")
 
     @property
     def phases(self) -> list[int]:
-        """Places of the phases among its unknowns."""
+        """Indices of the phases among its unknowns."""
         return [] if self.effect is None else self._places("phase")
 
     def _places(self, role: Role) -> list[int]:
@@ -140,20 +141,20 @@ class Candidate:
 
     @property
     def is_positive(self) -> bool:
-        """It has one size, which is not negative."""
+        """Whether it has a single amplitude, which cannot be negative."""
         places = self.amplitudes
         return len(places) == 1 and self.unknowns[places[0]].low >= self.neutral[places[0]]
 
     def is_at_full_size(self, start: FloatArray) -> bool:
-        """Whether a start has a size: that of an elastic part, whose frequency would be another
-        with another size."""
+        """Whether a start has a nonzero size, as those of elastic parts: their frequency depends on
+        the size."""
         places = self.amplitudes
         return bool(np.any(start[places] != self.neutral[places])) and any(
             np.array_equal(start, own) for own in self.starts
         )
 
     def log_prior(self, coordinates: FloatArray) -> float:
-        """ln of the density at its unknowns' coordinates, shape (k,)."""
+        """ln prior density at the coordinates of its unknowns, shape (k,)."""
         total = 0.0
         for unknown, x, zero, usual in zip(
             self.unknowns, coordinates, self.neutral, self.usual, strict=True
@@ -168,13 +169,13 @@ class Candidate:
         return total
 
     def bench(self, bench: Bench) -> Bench:
-        """The bench with this effect at its neutral value."""
+        """The bench with this effect added at its neutral value."""
         if self.effect is None or any(e.name == self.effect.name for e in bench.effects):
             return bench
         return bench.with_effects(*bench.effects, self.effect)
 
     def within(self, recording: str) -> Candidate:
-        """The same, acting in one recording only."""
+        """The same candidate, acting in one recording only."""
         kept = [i for i, u in enumerate(self.unknowns) if u.recording in (None, recording)]
         return replace(
             self,
@@ -196,17 +197,17 @@ def candidates(
     load_angle_known: bool = False,
     motor_angle_known: bool = False,
 ) -> list[Candidate]:
-    """Every explanation that these recordings could speak for.
+    """Make every hypothesis that these recordings can test.
 
     Parameters
     ----------
     effects
         Names from the catalogue, or all of it.
     peaks
-        Whole motor orders that stand out of what a fit leaves: where the periodic effects start.
-        Without any they are no candidates.
+        Whole motor orders that stand out of the fit's residual. Periodic effects start there;
+        without peaks, there are no periodic candidates.
     declared
-        Bench parameters that are unknown anyway, and so no candidates.
+        Bench parameters that are unknown anyway, and therefore no candidates.
     """
     present = {effect.name for effect in bench.effects}
     hypotheses = []
@@ -267,7 +268,8 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
 
 
 def _resonances(bench: Bench, effect: Effect, at: Resonance) -> Iterator[FloatArray]:
-    """Coordinates of a part at its full size, over a grid of its frequency and what swings."""
+    """Coordinates of an elastic part at full size, over a grid of its frequency and oscillating
+    inertia."""
     load = bench.value("load_inertia_kg_m2")
     own = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") / load)
     low, high = at.multiples
@@ -285,10 +287,11 @@ def _resonances(bench: Bench, effect: Effect, at: Resonance) -> Iterator[FloatAr
 def _near(
     effect: Effect, unknowns: Sequence[Unknown], places: Sequence[FloatArray]
 ) -> Iterator[Unknown]:
-    """Ranges about a grid: from four times stiffer than the stiffest to four times softer than the
-    softest, and what swings from a quarter of its smallest.
+    """Ranges of the unknowns around a grid of starts.
 
-    What is stiffer hardly shows and costs the simulator tiny steps.
+    The compliance ranges from a quarter of its smallest value to four times its largest, and the
+    oscillating inertia from a quarter of its smallest value. A stiffer part hardly shows, and makes
+    the simulator's steps tiny.
     """
     least, most = 0.25 * np.min(places, axis=0), 4.0 * np.max(places, axis=0)
     columns = zip(unknowns, effect.parameters, np.transpose(places), least, most, strict=True)
@@ -302,12 +305,12 @@ def _near(
 
 
 def _usual(parameters: Sequence[EffectParameter]) -> FloatArray:
-    """Usual sizes of an effect's parameters, those of a bench."""
+    """Usual sizes of an effect's amplitudes on a bench."""
     return np.array([abs(p.typical) if p.is_amplitude else math.nan for p in parameters])
 
 
 def _lowest(parameter: EffectParameter) -> float:
-    """Lower end of the range that a search uses."""
+    """Lower end of the search range."""
     if parameter.sought_from is not None:
         return parameter.sought_from
     return parameter.low
@@ -320,7 +323,7 @@ def _periodic(
     peaks: Sequence[float],
     motor_angle_known: bool,
 ) -> list[Candidate]:
-    """One candidate per order."""
+    """One candidate for each order."""
     (amplitude,) = (p for p in parameters_on(bench, effect) if p.is_amplitude)
     owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
     hypotheses = []

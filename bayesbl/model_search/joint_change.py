@@ -1,8 +1,8 @@
-"""What changed in the joint between its recordings, or differs from its bench in all of them.
+"""Find what changed in the joint between recordings, or differs from its bench in all of them.
 
-The candidates are those of a diagnosis, each acting in all recordings or in one of them alone, with
-what people change on a real joint beside them: its payload, its controller's gains. What is freed
-is fitted together with every gap, so wear is never taken for a change of the joint.
+The candidates are those of a diagnosis, each in all recordings or in a single one, and what people
+change on a real joint: its payload and its controller's gains. Every candidate is fitted jointly
+with all gaps, so wear is never mistaken for a change of the joint.
 """
 
 from __future__ import annotations
@@ -37,50 +37,51 @@ from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 OWN_EFFECT_SHARE = 0.3
-"""Of what an effect of the bench is: usual size by which it is more or less."""
+"""Usual relative change of an effect that the bench has."""
 
 FURTHEST_CHANGE = 3.0
-"""Factor by which a parameter may have changed, up or down."""
+"""Largest factor by which a parameter may have changed, up or down."""
 
 MOST_CHANGES = 2
 
 BEYOND = 2.0
-"""Budgets of drift beyond which a parameter has changed: one in twenty drifts so far."""
+"""Number of drift standard deviations beyond which a parameter has changed: one in twenty drifts so
+far."""
 
 MISSED = 0.05
-"""Share of changes of a blind spot's size that pass; smaller ones pass more often."""
+"""Share of changes of a blind spot's size that pass the check. Smaller changes pass more often."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Quantity:
-    """A bench parameter, or one of an effect, as :meth:`Bench.vector` takes it."""
+    """A parameter of the bench or of an effect, named as :meth:`Bench.vector` takes it."""
 
     slot: str
 
     @property
     def name(self) -> str:
-        """As a user writes it: ``effect.parameter``."""
+        """Name as a user writes it: ``effect.parameter``."""
         return self.slot.replace("__", ".")
 
     @property
     def unit(self) -> str:
-        """As declared."""
+        """Declared unit."""
         return declaration_of(self.slot).unit
 
 
 @dataclass(frozen=True, slots=True)
 class ChangedParameter(_Quantity):
-    """What the bench would have to have instead of what it has.
+    """A parameter whose value must differ from the bench's.
 
     Attributes
     ----------
     recording
-        The only one that it differs in; ``None`` where all recordings contradict the bench.
+        The only recording in which it differs; ``None`` if all recordings contradict the bench.
     expected, estimate
-        In another recording and in this one; by the bench and by the recordings where no other
-        recording has a value that is not its own.
+        Values in another recording and in this one. If no other recording has a value that is not
+        its own, values by the bench and by the recordings.
     sd
-        Of ``estimate`` against ``expected``.
+        Standard deviation of ``estimate`` − ``expected``.
     """
 
     recording: str | None
@@ -93,8 +94,8 @@ class ChangedParameter(_Quantity):
 class AddedPart:
     """An elastic part that the bench lacks: its effect, resonance, probability and values.
 
-    ``frequency_hz``: of what swings behind it against the rest of its inertia; of a base against
-    ground. ``probability``: against no such part and the others.
+    ``frequency_hz``: of the oscillating part against the remaining inertia; of a base against
+    ground. ``probability``: against no such part and the other parts.
     """
 
     name: str
@@ -105,14 +106,14 @@ class AddedPart:
 
 @dataclass(frozen=True, slots=True)
 class HiddenChange(_Quantity):
-    """A change of the joint in its last recording that the check would not see.
+    """A change of the joint in its last recording that the check would miss.
 
     Attributes
     ----------
     expected, size
-        Its value by the bench, and the largest change of it that passes.
+        Value by the bench, and the largest change that passes.
     error_rad
-        By which it would move the change of δ from the first recording to the last; absolute.
+        Absolute shift of the change of δ from the first recording to the last.
     """
 
     expected: float
@@ -129,15 +130,15 @@ class JointFindings:
     recordings
         Their names.
     explained
-        Whether the bench, with what changed, explains all recordings to within noise.
+        Whether the bench, with the changes, explains all recordings to within noise.
     changed
-        What is surely not as the bench has it.
+        Parameters that surely differ from the bench.
     could_be
-        Names of that, and of what these recordings cannot tell from it.
+        Their names, and the names that these recordings cannot distinguish from them.
     blind_spots
-        The one that moves the change of δ most first.
+        Undetected changes, in decreasing order of their effect on the change of δ.
     allowed
-        What was fitted besides and is no more than a joint may differ from its bench, or drift.
+        Fitted deviations within what a joint may differ from its bench, or drift.
     part
         An elastic part that the bench lacks and δ allows for.
     """
@@ -157,12 +158,12 @@ class JointFindings:
 
     @property
     def beyond_bench(self) -> tuple[ChangedParameter, ...]:
-        """What no recording has as the bench has it."""
+        """Changes by which every recording differs from the bench."""
         return tuple(c for c in self.changed if c.recording is None or self._differs(c.slot))
 
     @property
     def between(self) -> tuple[ChangedParameter, ...]:
-        """What differs between the recordings."""
+        """Changes between the recordings."""
         return tuple(c for c in self.changed if c not in self.beyond_bench)
 
     def _differs(self, slot: str) -> bool:
@@ -171,15 +172,15 @@ class JointFindings:
 
 @dataclass(frozen=True, slots=True)
 class ElasticPart:
-    """A part that the recordings speak for.
+    """An elastic part supported by the recordings.
 
     Attributes
     ----------
     fit
-        With it in the bench at its most probable values, and the unknowns of the nominal fit.
+        Fit of the nominal unknowns, with the part in the bench at its most probable values.
     directions
-        Its own values, to be marginalised: of what swings behind it the recordings say little, and
-        that moves δ little.
+        The part's own values, to be marginalised. The recordings say little about the oscillating
+        inertia, which moves δ little.
     """
 
     fit: SimulatedFit
@@ -190,11 +191,11 @@ class ElasticPart:
 def elastic_parts(
     fit: SimulatedFit, among: Sequence[Direction]
 ) -> tuple[tuple[FittedSet, float], ...]:
-    """The fit without and with a belt, an arm or a base that gives way, the most probable first.
+    """Fit the joint without and with an elastic belt, arm or base; the most probable model first.
 
-    What one does is far from linear in its compliance, and the tolerances of a bench take up most
-    of it, with δ off by much more than its interval. So each is tried where nothing else asks for
-    it, and δ is averaged over all.
+    Such a part is far from linear in its compliance. The tolerances of a bench absorb most of its
+    effect, and δ is then wrong by much more than its interval. So each part is tried even if
+    nothing else indicates it, and δ is averaged over all models.
     """
     bench, recordings = fit.model.bench, fit.model.recordings
     names = [e.name for e in EFFECTS if e.resonance is not None]
@@ -203,10 +204,10 @@ def elastic_parts(
 
 
 def with_part(nominal: SimulatedFit, explanation: Explanation, probability: float) -> ElasticPart:
-    """A fitted part put into the bench, its values as directions of their flat priors.
+    """Put a fitted part into the bench, with its values as directions of their flat priors.
 
-    Laws and drift that stood in for it in the fit are linear again beside it, as they are next to
-    nothing then: a lag of microseconds is what the simulator is slowest with.
+    Laws and drift that replaced the part in the fit are linear again. They are nearly zero then,
+    and a lag of microseconds makes the simulator slowest.
     """
     (part,) = explanation.candidates
     places, own = explanation.places(part), nominal.point.size
@@ -218,7 +219,7 @@ def with_part(nominal: SimulatedFit, explanation: Explanation, probability: floa
     effect = BenchEffect(part.name, {k: EffectParameterValue(v) for k, v in values.items()})
     bench, fit = nominal.model.bench, explanation.fit
     stated = {own.name for own in bench.effects}
-    # How the controller samples is kept: it did not stand in for the part.
+    # Keep the controller's sampling: it did not replace the part.
     ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
     of_ticks = {DEAD_TIME, INSTANT_SHARE}
     kept = [
@@ -243,7 +244,7 @@ def with_part(nominal: SimulatedFit, explanation: Explanation, probability: floa
 
 
 def _frequency_hz(bench: Bench, name: str, values: Mapping[str, float]) -> float:
-    """See :class:`AddedPart`; ``values``: of its effect's parameters."""
+    """Frequency of :class:`AddedPart`; ``values``: of its effect's parameters."""
     effect = effect_named(name)
     assert effect.resonance is not None
     (compliance,) = effect.amplitudes
@@ -259,14 +260,14 @@ def find_changes(
     among: Sequence[Direction] = (),
     progress: Progress = silent,
 ) -> tuple[Naming, JointFindings]:
-    """What the bench would have to have, in all recordings or in one, to explain them.
+    """Find what must differ from the bench, in all recordings or in one, to explain them.
 
     Parameters
     ----------
     nominal
         All recordings of a joint fitted together with the bench as believed.
     among
-        What is marginalised beside every fit, and so is no blind spot.
+        Directions marginalised at every fit, which are therefore no blind spots.
     progress
         Called with (fits made, fits expected).
     """
@@ -292,10 +293,10 @@ def find_changes(
 def changed_beside(
     fit: SimulatedFit, among: Sequence[Direction], part: AddedPart | None = None
 ) -> JointFindings:
-    """What of the joint changed where laws, drift and changes beside a fit explain everything.
+    """Find the changes of the joint if laws, drift and changes at a fit explain everything.
 
-    ``among``: what was marginalised, and so is no blind spot; what was far is now an unknown.
-    ``part``: which of them is an elastic part that the bench lacks.
+    ``among``: marginalised directions, which are no blind spots; the far ones are unknowns by now.
+    ``part``: an elastic part that the bench lacks.
     """
     names = tuple(observation.name for observation in fit.model.recordings)
     by_slot = {direction.slot: direction for direction in among}
@@ -303,7 +304,7 @@ def changed_beside(
     allowed = [] if part is None else [*part.values]
     for unknown in fit.model.unknowns:
         direction = by_slot.get(unknown.name)
-        # A tolerance of the bench, or what the user lets drift, is flat.
+        # Tolerances of the bench, and drift set by the user, are flat.
         if direction is None or not math.isfinite(unknown.sd):
             continue
         difference = _against_known(fit, unknown)
@@ -324,8 +325,10 @@ def changed_beside(
 
 
 def _against_known(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
-    """An unknown against the first recording that has no value of its own of it, or where it has
-    one in all or all share it against the bench."""
+    """Compare an unknown with the first recording that has no value of its own.
+
+    If there is none, or all recordings share the unknown, compare it with the bench.
+    """
     slot, where = unknown.name, unknown.recording
     own = {u.recording for u in fit.model.unknowns if u.name == slot}
     other = next((r.name for r in fit.model.recordings if r.name not in own), None)
@@ -336,9 +339,9 @@ def _against_known(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
 
 
 def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
-    """What each candidate in the explanation found, phases left out.
+    """Values found by each candidate of the explanation, without phases.
 
-    Of two recordings whose values both lie within the bench's tolerance, the later one is what
+    If both values of two recordings are within the bench's tolerance, the later one counts as
     changed.
     """
     fit = final.fit
@@ -358,7 +361,7 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
 
 
 def _stated_places(candidate: Candidate) -> list[int]:
-    """Places of what a bench file needs: a period without its dead time is half of it."""
+    """Indices of the values that a bench file needs: a period is incomplete without its dead time."""
     places = candidate.amplitudes
     if candidate.effect is None:
         return places
@@ -372,7 +375,7 @@ def _stated_places(candidate: Candidate) -> list[int]:
 
 
 def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
-    """Whether the bench's tolerance of a parameter holds a value."""
+    """Whether a value is within the bench's tolerance of a parameter."""
     ends = [
         (float(u.value(np.array(u.low))), float(u.value(np.array(u.high))))
         for u in fit.model.unknowns
@@ -382,8 +385,8 @@ def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
 
 
 def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParameter:
-    """A parameter in one recording against what is known of it in another, or what all share, with
-    its drift."""
+    """Compare a parameter in one recording with another recording, or with the shared value, drift
+    included."""
     own_sd = np.sqrt(np.diag(fit.covariance))
     steps = np.diag(own_sd)
     points = np.concatenate([fit.point[None], fit.point + steps, fit.point - steps])
@@ -401,10 +404,10 @@ def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParam
 
 
 def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
-    """All that may differ from the bench, in all recordings together and in each alone."""
+    """All candidates that may differ from the bench, in all recordings together and in each alone."""
     model = fit.model
     bench, recordings = model.bench, model.recordings
-    # A parameter of zero changes by no factor: an axis without gravity keeps none.
+    # A factor cannot change a parameter of zero: an axis without gravity keeps none.
     changeable = {name: (name,) for name in CORRECTABLE_PARAMETERS} | CHANGED_TOGETHER
     every = [
         *(c for c in candidates(bench, recordings, "all", peaks) if c.kind == "effect"),
@@ -434,14 +437,14 @@ def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
 
 
 def _furthest(value: float, tolerance: float) -> tuple[float, float]:
-    """Range of a changed parameter: also of one that was anywhere within a wide tolerance."""
+    """Range of a changed parameter; it includes the whole of a wide tolerance."""
     ends = [value / FURTHEST_CHANGE, value * FURTHEST_CHANGE, value - tolerance, value + tolerance]
     kept = [end for end in ends if end * value > 0.0]
     return min(kept), max(kept)
 
 
 def _own_effects(bench: Bench) -> list[Candidate]:
-    """Effects that the bench has, grown or shrunk; a controller's dead time, which may be any."""
+    """Effects of the bench with another size, and any dead time of its controller."""
     resized = []
     for present in bench.effects:
         values, effect = present.complete(), effect_named(present.name)
@@ -462,14 +465,15 @@ def _own_effects(bench: Bench) -> list[Candidate]:
 
 
 def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[HiddenChange]:
-    """Changes in the last recording that would pass, the one that moves the change of δ most first.
+    """Changes in the last recording that would pass, in decreasing order of their shift of the
+    change of δ.
 
-    But for laws and drift ``among`` what is marginalised.
+    Laws and drift ``among`` the marginalised directions are left out.
 
-    With J the derivatives of the fit, C = (JᵀJ + P)⁻¹ and j that by the change, a change of size η
-    moves the unknowns by C Jᵀj η if it is not modelled, and is found where η exceeds its standard
-    deviation (jᵀj − jᵀJ C Jᵀj)^(−1/2), were it free, often enough for the threshold. Noise that
-    goes round in the speed loop makes that larger.
+    With J the Jacobian of the fit, C = (JᵀJ + P)⁻¹ and j the derivative by the change, an
+    unmodelled change of size η moves the unknowns by C Jᵀj η. If it were free, its standard
+    deviation would be (jᵀj − jᵀJ C Jᵀj)^(−1/2). The change is detected often enough if η exceeds
+    this by the threshold. Noise fed back by the speed loop makes it larger.
     """
     model = fit.model
     first, last = model.recordings[0].name, model.recordings[-1].name
@@ -482,7 +486,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
     least = math.sqrt(float(chi2_isf(FALSE_ALARM / len(_candidates(fit, ())), 1)))
     least += normal_isf(MISSED)
     derivatives, noise = fit.derivatives(), noise_along(fit)
-    # That something was changed by people is only a small probability.
+    # A change by people has only a small probability.
     marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
     for candidate in _candidates(fit, [1.0]):
@@ -510,7 +514,7 @@ def _largest_hidden(
     least: float,
     noise: Callable[[FloatArray], FloatArray],
 ) -> HiddenChange:
-    """The change that passes and moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
+    """The undetected change that moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
     matrix = np.column_stack(columns)
     across = derivatives.T @ matrix
     moved = fit.covariance @ across

@@ -1,19 +1,19 @@
-"""What does the bench lack, and what is the gap with that in doubt: one way for all who ask.
+"""Find what the bench lacks, and the gap given that this is uncertain.
 
-A diagnosis, an identification and the direct route of a measurement go it together. Each step has
-one type, and makes the next one's:
+A diagnosis, an identification and the direct route of a measurement use the same steps. Each step
+has one type, which is the input of the next:
 
-1. fit: all recordings at once, aligned and with their own noise (:class:`SimulatedFit`);
-2. linearise: laws and drift beside the fit, and what is far from none made an unknown of it
-   (:class:`bayesbl.model_search.always_in.Beside`);
-3. name: sets of hypotheses, each fitted in full and weighed
+1. fit: all recordings at once, aligned, with their own noise (:class:`SimulatedFit`);
+2. linearise: laws and drift are linear at the fit; those far from their values in the fit become
+   its unknowns (:class:`bayesbl.model_search.always_in.Beside`);
+3. name: sets of hypotheses, each fitted in full and weighted by its evidence
    (:class:`bayesbl.model_search.closed_loop.Naming`);
-4. refit: with what is named, what is beside it linearised again (:class:`AveragedFit`);
-5. sample, and marginalise all that the fit takes to be as it has it (:class:`DirectPosterior`).
+4. refit: with the named hypotheses, and the others linearised again (:class:`AveragedFit`);
+5. sample, and marginalise everything that the fit held fixed (:class:`DirectPosterior`).
 
-Who asks differs in the hypotheses, in what is always beside them, and in what is done where none of
-them explains the recordings: a measurement asks only where its bench explains them not, a diagnosis
-learns a torque, an identification seeks a value that is wrong by far.
+The callers differ in their hypotheses, in what they always marginalise, and in what they do if no
+hypothesis explains the recordings. A measurement searches only if its bench does not explain the
+recordings, a diagnosis learns a torque, and an identification looks for a grossly wrong value.
 """
 
 from __future__ import annotations
@@ -75,9 +75,10 @@ def direct_unknowns(
     gap_rad: tuple[float, float],
     moving: Sequence[str] = (),
 ) -> list[Unknown]:
-    """A gap and a start angle for each recording, and what is not known of their bench.
+    """Unknowns of the direct route: gap and start angle of each recording, and what the bench
+    leaves open.
 
-    ``moving``: names of those that are of motions.
+    ``moving``: names of the recordings of motions.
     """
     return [
         *(gap_unknown(*gap_rad, name) for name in names),
@@ -91,10 +92,11 @@ def direct_unknowns(
 def friction_drift(
     unknowns: Sequence[Unknown], among: Sequence[Direction], later: Sequence[str]
 ) -> list[Unknown]:
-    """What friction that is unknown anyway drifts by in later recordings, in proportion to it.
+    """Drift of unknown friction in later recordings, in proportion to the friction.
 
-    It moves the current's mean by many times its noise: a fit that has it the same in all turns to
-    a bench that never was, and nothing is linear there. A speed alone shows little of it.
+    Drift of friction moves the mean current by many times its noise. A fit with the same friction
+    in all recordings would move to a wrong bench, where a linearisation is useless. Speed alone
+    shows little of this drift.
     """
     sizes = {u.name: u.centre or u.sd for u in unknowns if u.name.partition("__")[0] in FRICTION}
     return [
@@ -115,7 +117,7 @@ def friction_drift(
 def rival_loops(
     rest: Beside, among: Sequence[Direction], whole: float
 ) -> list[tuple[FittedSet, float]]:
-    """Other loops that explain the recordings as well, each with its share of a probability."""
+    """Other speed loops that explain the recordings as well, each with its share of ``whole``."""
     fits = [rest.fit, *other_loops(rest)]
     if len(fits) == 1:
         return []
@@ -133,16 +135,16 @@ def rival_loops(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AveragedFit:
-    """The fit that answers, and all that its draws are averaged over.
+    """The fit that gives the answer, and the models that its draws are averaged over.
 
     Attributes
     ----------
     rest
-        The fit, and what stands beside it.
+        The fit, with the terms linearised at it.
     others
         Other sets of what the bench may lack, each with its probability.
     among
-        What is always beside each of these, where the search had nothing there.
+        Directions that are marginalised in each of these sets, if the search did not do so.
     """
 
     rest: Beside | FittedSet
@@ -158,14 +160,14 @@ class AveragedFit:
         *,
         withheld: bool = False,
     ) -> DirectPosterior:
-        """As :func:`sample_direct` draws of the fit, and averaged unless ``withheld``."""
+        """Draw from the fit as :func:`sample_direct` does, and average over models unless
+        ``withheld``."""
         fit = self.rest.fit
         posterior = sample_direct(fit, settings, seed, drawing, simulating, withheld=withheld)
         return posterior if withheld else self.averaged(posterior, seed)
 
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
-        """Draws of the fit with impacts that differ, laws, drift, and all that the bench may
-        lack."""
+        """Add to the draws the scatter of impacts, laws, drift, and all that the bench may lack."""
         scattering, drifting, others = seed.spawn(3)
         whole = marginalised(widened(posterior, scattering), self.rest.posterior, drifting)
         return averaged(whole, self.others, others, self.among) if self.others else whole
@@ -183,7 +185,7 @@ class JointFit(AveragedFit):
 
     @property
     def allows_for_misfit(self) -> bool:
-        """Whether δ includes what a law that nothing names may do to it."""
+        """Whether δ includes the possible effect of an unnamed law."""
         return not self.joint.explained and self.rest.is_useful
 
 
@@ -195,11 +197,11 @@ def fit_jointly(
     workers: int = 1,
     progress: StageProgress | None = None,
 ) -> JointFit:
-    """The optimum of all recordings together.
+    """Fit all recordings together.
 
-    Friction, laws that bias the gap before they show, and what drifts between the recordings, are
-    always allowed for. What the bench lacks beside that, or changed in the joint, is freed where it
-    is named. ``drift``: relative standard deviations by name, in place of the defaults.
+    Friction, laws that bias the gap before they show, and drift between the recordings are always
+    allowed for. Anything else that the bench lacks, or that changed in the joint, is freed if it is
+    named. ``drift``: relative standard deviations by name, in place of the defaults.
     """
     recordings = [marginalising_motor_lines(observation, bench) for observation in recordings]
     bench = with_friction(bench, recordings)
@@ -230,9 +232,9 @@ def fit_jointly(
     naming, joint = find_changes(rest.fit, among=among, progress=seeking)
     rest = naming.rest or beside(naming.final.fit, among)
     if not rest.has_discrepancy:
-        # Lags that stood in for what is named need not stand in for anything any more.
+        # Lags in place of what is now named may no longer be needed.
         free, known = settled(rest.fit, among, allowing), len(rest.fit.model.unknowns)
         if all(u.recording is None for u in free.fit.model.unknowns[known:]):
             rest = free
-    # Sets that explain too little to be named know less of the misfit than the bench does.
+    # Sets that explain too little to be named know less about the misfit than the bench does.
     return JointFit(rest=rest, others=naming.others if naming.effects else (), joint=joint)

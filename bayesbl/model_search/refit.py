@@ -1,4 +1,4 @@
-"""Sets of hypotheses fitted in full, jointly with everything declared unknown."""
+"""Full fits of sets of hypotheses, jointly with all declared unknowns."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ from bayesbl.recording.types import FloatArray
 SCANNED_GAPS = 10
 MOST_FROM_AFAR = 3
 LEFT_FROM_AFAR = 0.5
-"""Share of χ² beyond noise that a rough fit from afar may leave, or it is not pursued."""
+"""Largest share of χ² beyond noise that a rough fit from afar may leave to be pursued."""
 
 SHARES_TRIED = (1.0, 0.3, 0.1, 0.03)
-"""Of the sizes that the linearisation promises, from which a fit may start."""
+"""Shares of the sizes promised by the linearisation, from which a fit may start."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
     """The recordings fitted with a set of hypotheses.
 
-    ``candidates``: in the order they were added; ``fit``: with their unknowns behind its own.
+    ``candidates``: in the order of their addition; ``fit``: their unknowns follow those of the
+    nominal fit.
     """
 
     candidates: tuple[Candidate, ...]
@@ -40,68 +41,68 @@ class Explanation:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Labels of what is added."""
+        """Labels of the candidates."""
         return tuple(c.label for c in self.candidates)
 
     @property
     def keys(self) -> frozenset[tuple[str, float | None]]:
-        """What tells sets apart."""
+        """Key that identifies the set."""
         return frozenset(c.key for c in self.candidates)
 
     def with_derivatives(self) -> Explanation:
-        """The same, its fit holding its derivatives."""
+        """The same explanation, whose fit holds its Jacobian."""
         return replace(self, fit=self.fit.with_derivatives())
 
     def without_derivatives(self) -> Explanation:
-        """The same in little memory."""
+        """The same explanation without the Jacobian, to save memory."""
         return replace(self, fit=self.fit.without_derivatives())
 
     def places(self, candidate: Candidate) -> list[int]:
-        """Of a candidate's unknowns in a point."""
+        """Indices of a candidate's unknowns in a point."""
         last = {unknown.key: place for place, unknown in enumerate(self.fit.model.unknowns)}
         return [last[unknown.key] for unknown in candidate.unknowns]
 
     @property
     def log_prior(self) -> float:
-        """ln of the density of all that is added."""
+        """ln prior density of all candidates' unknowns."""
         return sum(c.log_prior(self.fit.point[self.places(c)]) for c in self.candidates)
 
 
 def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Explanation:
-    """The same explanation, fitted again under another noise."""
+    """Refit the explanation under another noise model."""
     fit = explanation.fit
     model = replace(fit.model, noise=noise)
     return replace(explanation, fit=fit_simulated(model, fit.point, fit.steps))
 
 
 def with_own_noise(explanation: Explanation) -> Explanation:
-    """The same explanation, fitted again under the noise that it leaves itself."""
+    """Refit the explanation under the noise of its own residuals."""
     return with_noise(explanation, remaining_noise(explanation.fit))
 
 
 def polished(explanation: Explanation) -> Explanation:
-    """The same explanation, fitted to the end."""
+    """Refit the explanation until it converges fully."""
     fit = explanation.fit
     ended = fit_simulated(fit.model, fit.point, fit.steps, one_sided=True)
     return replace(explanation, fit=ended)
 
 
 def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
-    """The comparison with a candidate's unknowns beside its own."""
+    """The model with a candidate's unknowns added."""
     return model.beside(candidate.bench(model.bench), candidate.unknowns)
 
 
 def refit(
     base: Explanation, added: Sequence[tuple[Candidate, FloatArray]], shift: FloatArray
 ) -> Explanation | None:
-    """A set and some candidates more, fitted roughly; ``None`` if it cannot be simulated.
+    """Fit a set extended by some candidates roughly; ``None`` if it cannot be simulated.
 
     Parameters
     ----------
     added
         Candidates, each with the coordinates that the linearisation promises, shape (k,).
     shift
-        What it promises of the unknowns that are there already, shape (d,).
+        Promised shift of the base fit's unknowns, shape (d,).
     """
     model = base.fit.model
     for candidate, _ in added:
@@ -129,9 +130,9 @@ def refit(
 def reduced(
     nominal: Explanation, full: Explanation, without: Collection[int]
 ) -> Explanation | None:
-    """An explanation less the candidates at these places, fitted again from where it is.
+    """Refit an explanation without the candidates at these indices, from its present point.
 
-    ``nominal`` where none is left; ``None`` if it cannot be simulated.
+    Returns ``nominal`` if no candidate is left, and ``None`` if it cannot be simulated.
     """
     if len(without) == len(full.candidates):
         return nominal
@@ -150,8 +151,12 @@ def reduced(
 
 
 def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Explanation]:
-    """Candidates that move the gap, fitted roughly from the best place in its whole range and
-    theirs, best first: of the few that start nearest, what leaves much less than there was."""
+    """Fit candidates that move the gap roughly, from the best points of a scan over the full
+    ranges.
+
+    Only the few with the best starting χ² are fitted. Returns those that remove much of the χ²,
+    best first.
+    """
     model, own = nominal.fit.model, nominal.fit.point.size
     places = []
     for candidate in (c for c in candidates if c.scanned):
@@ -176,8 +181,8 @@ def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]
 
     Returns
     -------
-    For each of its starts, columns of shape (N,): one for each amplitude, two for each recording
-    that has a phase of its own (sine, cosine). Without what cannot be simulated.
+    For each start, columns of shape (N,): one for each amplitude, or two (sine, cosine) for each
+    recording with its own phase. Columns that cannot be simulated are left out.
     """
     model = extended(fit.model, candidate)
     phases = (0.0, 0.5 * math.pi) if candidate.is_periodic else (None,)
@@ -199,9 +204,9 @@ def _columns(
     amplitude: int,
     phase: float | None,
 ) -> list[FloatArray]:
-    """Change of the whitened signals by one amplitude; of a phase, one for each that has its own.
+    """Change of the whitened signals per unit of one amplitude; one column for each separate phase.
 
-    ``model``: with the candidate, whose unknowns are its last.
+    ``model``: includes the candidate, whose unknowns come last.
     """
     own = start.copy()
     own[candidate.amplitudes] = candidate.neutral[candidate.amplitudes]
@@ -209,14 +214,16 @@ def _columns(
         own[candidate.phases] = phase
     amount = float(start[amplitude] - candidate.neutral[amplitude])
     if amount == 0.0:
-        # A thousandth of the range, back from its upper end; to its lower end from below it.
+        # A thousandth of the range, downwards at its upper end; from below the range, up to its
+        # lower end.
         unknown, at = candidate.unknowns[amplitude], float(own[amplitude])
         amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - at)
         amount = amount if at + amount <= unknown.high else -amount
     here = np.concatenate([fit.point, own])
     moved = here.copy()
     moved[fit.point.size + amplitude] += amount
-    # An effect that was put into the bench does nothing yet.
+    # A newly added effect changes nothing at its neutral value, so the fit's residual is valid
+    # here.
     is_fit = model.bench is not fit.model.bench
     owners = [
         k
@@ -240,7 +247,7 @@ def _columns(
 
 
 def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Coordinates of a candidate from the sizes of its columns, in its units."""
+    """Coordinates of a candidate from the sizes of its columns, in the candidate's units."""
     if candidate.is_at_full_size(start):
         return start
     coordinates, amplitudes = start.copy(), candidate.amplitudes
@@ -258,7 +265,7 @@ def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> Floa
 
 
 def chi_square(model: SimulatedSignals, point: FloatArray) -> float:
-    """Of a point, roughly and infinite where it cannot be simulated."""
+    """χ² at a point, roughly; infinite if it cannot be simulated."""
     z = model.whitened(point)[0]
     value = float(z @ z)
     return value if math.isfinite(value) else math.inf

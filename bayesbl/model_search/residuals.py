@@ -1,12 +1,12 @@
-"""What a simulation in steady rotation leaves, and what it repeats with: load, motor or time.
+"""Residuals of steady rotations, and what they repeat with: load angle, motor angle or time.
 
-Averaging over load rotations splits a residual into what repeats and what does not. Lines are
-sought in the periodogram |X_k|²/n over time and over the motor's angle: the motor does not turn
-evenly, so what repeats with its angle has side bands in time, and the reverse. Over its floor the
-periodogram of noise is standard exponential. With a whole gear ratio all that turns with the motor
-repeats with the load too, so a line at a whole load order is one by itself only if it stands out of
-the load orders beside it. What a line repeats with is what explains it best in all recordings
-together: they turn at several speeds.
+Averaging over load rotations splits a residual into a repeating part and noise. Lines are sought in
+the periodogram |X_k|²/n over time and over the motor angle. The motor does not turn evenly, so a
+line that repeats with the motor angle has side bands over time, and vice versa. The periodogram of
+noise, divided by its floor, has a standard exponential distribution. With a whole gear ratio,
+everything that repeats with the motor also repeats with the load. So a line at a whole load order
+counts as a separate line only if it stands out of the neighbouring load orders. A line is assigned
+to the scale that explains it best in all recordings together, because these have several speeds.
 """
 
 from __future__ import annotations
@@ -30,33 +30,35 @@ from bayesbl.recording.types import MOTOR_SPEED, FloatArray
 from bayesbl.units import unit_of
 
 FALSE_LINES = 0.01
-"""Probability of any line where there is none, over all channels of all recordings."""
+"""Probability of any false line, over all channels of all recordings."""
 
 SURE = 1e-3
-"""The same of what is no line: repeating bands, offset, drift."""
+"""False-alarm probability of the other findings: repeating bands, offset, drift."""
 
 FEWEST_ROTATIONS = 2
 MEDIAN_BINS = 201
-"""Of a periodogram, whose median lines do not move."""
+"""Periodogram bins in the running median, which lines do not affect."""
 
 CLEARLY = 10.0
 """Difference of log likelihoods beyond which a line is sharp on one scale and not on the other."""
 NEIGHBOURS = 4
 STANDS_OUT = 4.0
-"""Times the power of the load orders beside it: then a whole load order is a line by itself."""
+"""Ratio to the power of the neighbouring load orders above which a whole load order is a separate
+line."""
 
 MAIN_SHARE = 0.8
-"""Of the significant power, between the load orders that are told."""
+"""Share of the significant power that lies between the reported load orders."""
 
 MOST_LINES = 6
-"""Of a channel: what is beyond them is weaker, mostly side bands."""
+"""Largest number of lines in a channel. Further lines are weaker, and mostly side bands."""
 
 MOST_ORDERS = 3
-"""Of the motor, that are tried as ripples at once. It limits time only: others are looked for in
-what the best set leaves."""
+"""Largest number of motor orders that are tried as ripples at once. It only limits time: further
+orders are sought in the residual of the best set."""
 
 SIDEBANDS = 2.5
-"""Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
+"""Distance in load orders within which a line belongs to a whole motor order: the load torque
+modulates it."""
 
 What = Literal["load angle", "motor angle", "time", "angle or time", "offset", "drift"]
 Scale = Literal["time", "motor angle", "load angle"]
@@ -65,28 +67,28 @@ MOTOR: Literal["motor angle"] = "motor angle"
 LOAD: Literal["load angle"] = "load angle"
 TURNING: tuple[What, ...] = (MOTOR, "angle or time")
 BETWEEN_ORDERS: tuple[Scale, ...] = (TIME, MOTOR)
-"""Scales on which a line is drawn that need not be a whole load order."""
+"""Scales of lines that need not be at a whole load order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unexplained:
-    """One thing that the simulation does not explain, over all recordings that show it.
+    """One feature that the simulation does not explain, over all recordings that show it.
 
     Attributes
     ----------
     dependence
-        What it repeats with, or ``offset``, ``drift`` (over a recording).
+        What it repeats with, or ``offset``, or ``drift`` (over a recording).
     amplitude
-        Largest over the recordings, in ``unit``: of the line; for the load angle that of a sine
-        of the same RMS; the offset; the drift per second.
+        Largest over the recordings, in ``unit``: amplitude of the line; for the load angle,
+        amplitude of a sine of the same RMS; the offset; the drift per second.
     lowest_order, highest_order
-        Of the load for the load angle, else of the motor; ``nan`` where it has none.
+        Load orders for the load angle, otherwise motor orders; ``nan`` if it has none.
     frequency_hz
-        Of a line periodic in time, or of one that may be; else ``nan``.
+        Frequency of a line that is, or may be, periodic in time; otherwise ``nan``.
     recordings
-        Names of those that show it.
+        Names of the recordings that show it.
     chi_squared
-        Of a line whose test has one.
+        χ² of the line's test, if the test has one.
     """
 
     channel: str
@@ -102,37 +104,40 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class ResidualAnalysis:
-    """What no noise explains; ``power`` of all but the mean, which any friction takes away, over
-    that of the noise, summed over recordings and channels."""
+    """Features that noise does not explain.
+
+    ``power``: power of everything but the mean, over that of the noise, summed over recordings and
+    channels. The mean is left out because any friction explains it.
+    """
 
     remaining: tuple[Unexplained, ...]
     power: float
 
     def closes(self, before: ResidualAnalysis) -> float:
-        """Share of what another one leaves, repeating or not."""
+        """Share of another analysis' power that this one removes, repeating or not."""
         return 1.0 - self.power / before.power if before.power > 0.0 else 0.0
 
 
 @dataclass(slots=True, eq=False)
 class _Residual:
-    """One channel of a recording over whole load rotations, (n,), while lines are taken out of it.
+    """One channel of a recording over whole load rotations, (n,), from which lines are removed.
 
     Attributes
     ----------
     positions
-        Time and the motor's angle, both in samples.
+        Time and motor angle, both in samples.
     lengths
-        Of the record on each scale: seconds, or turns of the motor.
+        Length of the record on each scale: seconds, or motor turns.
     cycles
-        In the record, of the lines that are no load order's.
+        Cycles in the record of each line that is not a load order.
     waves
-        The slope of a drift, then cosine and sine of each of these, (n, k).
+        Slope of a drift, then cosine and sine of each of these lines, (n, k).
     of_load
         Load orders that stand out of their neighbours and repeat with nothing else.
     rest, noise
-        Without drift and lines, and without what repeats.
+        Values without drift and lines, and these without the repeating part.
     floor
-        Periodogram that the noise is expected to have, (n // 2 + 1,).
+        Expected periodogram of the noise, (n // 2 + 1,).
     """
 
     recording: str
@@ -152,7 +157,7 @@ class _Residual:
         self.fit()
 
     def fit(self) -> None:
-        """Waves in what does not repeat; those of whole load orders in all."""
+        """Fit waves to the non-repeating part, and waves of whole load orders to the full residual."""
         n, rotations = self.values.size, self.rotations
         whole = np.repeat([False, *(c % rotations == 0.0 for c in self.cycles)], 2)[1:]
         apart = self._without_repeating(self.waves[:, ~whole])
@@ -170,13 +175,13 @@ class _Residual:
         self.floor = np.interp(np.arange(power.size), between, median)
 
     def _without_repeating(self, columns: FloatArray) -> FloatArray:
-        """Columns less what repeats of each in every rotation, (n, k)."""
+        """Remove the part that repeats every rotation from each column, (n, k)."""
         transform = np.fft.rfft(columns, axis=0)
         transform[:: self.rotations] = 0.0
         return np.asarray(np.fft.irfft(transform, len(columns), axis=0))
 
     def scores(self, scale: Scale) -> FloatArray:
-        """Periodogram of what is there without a line, over its floor, of every bin of a scale."""
+        """Periodogram of the values without lines, over its floor, for every bin of a scale."""
         values, time, position = self.rest, self.positions[TIME], self.positions[scale]
         if position is not time:
             values = CubicSpline(time, values)(np.interp(time, position, time))
@@ -194,9 +199,10 @@ class _Residual:
         return power
 
     def gain(self, scale: Scale, cycles: float) -> tuple[float, float]:
-        """Log likelihood that a line gains near so many cycles in the record, and where.
+        """Log likelihood gained by a line near this number of cycles in the record, and its best
+        position.
 
-        What does not repeat lacks the share of a line that averaging over rotations took.
+        The non-repeating part lacks the share of a line that averaging over rotations removed.
         """
         rotations, position = self.rotations, self.positions[scale]
         if not rotations <= cycles < self.floor.size - 1:
@@ -217,7 +223,7 @@ class _Residual:
         return -float(best.fun), float(best.x)
 
     def take_out(self, scale: Scale, cycles: float) -> None:
-        """A line with its amplitude and phase; what repeats with the load stays where it is."""
+        """Remove a line with its amplitude and phase; the part that repeats with the load stays."""
         if scale == LOAD:
             self.of_load.append(round(cycles / self.rotations))
             return
@@ -228,28 +234,29 @@ class _Residual:
 
     @property
     def amplitudes(self) -> FloatArray:
-        """Of the lines."""
+        """Amplitudes of the lines."""
         return np.asarray(np.hypot(*self.coefficients[1:].reshape(-1, 2).T))
 
     @property
     def offset(self) -> tuple[float, float]:
-        """Mean, and its standard error."""
+        """Mean and its standard error."""
         return float(self.rest.mean()), math.sqrt(float(self.floor[0]) / self.values.size)
 
     @property
     def drift_per_s(self) -> tuple[float, float]:
-        """Slope over the recording, and its standard error."""
+        """Slope over the recording and its standard error."""
         hertz = self.values.size / self.lengths[TIME]
         length = float(np.linalg.norm(self._without_repeating(self.waves[:, :1])))
         error = math.sqrt(float(self.floor[0])) / length
         return hertz * float(self.coefficients[0]), hertz * error
 
     def repeating(self, chance: float, tests: int) -> tuple[float, tuple[int, int] | None]:
-        """Mean square of what repeats with the load, and the load orders between which it stands
-        out; ``None`` where it does not.
+        """Mean square of what repeats with the load, and the range of load orders in which it
+        stands out.
 
-        Without the mean, lines, and what noise alone would leave. ``chance``: of a single order
-        that stands out; a whole band may (Bonferroni over ``tests`` and bands).
+        The range is ``None`` if nothing stands out. The mean, lines and the expected share of noise
+        are subtracted. ``chance``: false-alarm probability of a single order. A whole band may
+        stand out too (Bonferroni over ``tests`` and bands).
         """
         power = np.abs(np.fft.rfft(self.rest)[:: self.rotations]) ** 2 / self.rest.size
         floor = self.floor[:: self.rotations]
@@ -273,7 +280,7 @@ class _Residual:
         return max(excess, 0.0), orders
 
     def over_noise(self, repeating: float) -> float:
-        """Power of what repeats, lines and drift, over the noise's."""
+        """Power of the repeating part, lines and drift, over the noise power."""
         other = float(np.mean((self.values - self.rest) ** 2))
         return (repeating + other) / float(np.mean(self.floor[:-1]))
 
@@ -283,16 +290,16 @@ def _power(values: FloatArray, position: FloatArray, cycles: float) -> float:
 
 
 def residuals_of(fit: SimulatedFit) -> ResidualAnalysis:
-    """What a fit leaves of its steady rotations.
+    """Analyse the residuals of a fit's steady rotations.
 
-    Not of those whose lines of the motor are marginalised, nor of motions.
+    Motions, and recordings whose motor lines are marginalised, are left out.
     """
     model = fit.model
     steady = [
         i for i, r in enumerate(model.recordings) if r.motion is None and r.motor_lines is None
     ]
     own = [fit.simulated(i) for i in steady]
-    # Bridged samples hold nothing that repeats.
+    # Bridged samples contain nothing that repeats.
     observations = [
         replace(r, signals=made + r.residual_of(made))
         for r, made in zip((model.recordings[i] for i in steady), own, strict=True)
@@ -301,9 +308,9 @@ def residuals_of(fit: SimulatedFit) -> ResidualAnalysis:
 
 
 def motor_orders(fit: SimulatedFit) -> list[float]:
-    """Whole orders of the motor that what a fit leaves repeats with, a few, the strongest first.
+    """Whole motor orders in the residual of a fit, a few, the strongest first.
 
-    None of recordings that hardly hold two rotations.
+    Returns none for recordings that hold less than two rotations.
     """
     near = SIDEBANDS / fit.model.bench.value("gear_ratio")
     try:
@@ -334,7 +341,7 @@ def analyse_residuals(
     simulated
         Prediction for each, shape (c, n) as its ``signals``.
     false_lines
-        Probability of any line where there is none.
+        Probability of any false line.
 
     Raises
     ------
@@ -362,8 +369,10 @@ def analyse_residuals(
 
 
 def _residual(observation: Observed, simulated: FloatArray, channel: str) -> _Residual:
-    """Of one channel, over time and over the motor angle that the simulated speed makes, which has
-    no noise; whole load rotations, to the nearest sample."""
+    """Residual of one channel over whole load rotations, to the nearest sample.
+
+    The motor angle is the integral of the simulated speed, which has no noise.
+    """
     rotation = observation.rotation_period_s * observation.sampling_hz
     rotations = int(observation.samples / rotation + 1e-6)
     if rotations < FEWEST_ROTATIONS:
@@ -392,10 +401,10 @@ def _residual(observation: Observed, simulated: FloatArray, channel: str) -> _Re
 
 
 def _lines(own: Sequence[_Residual], chance: float) -> Iterator[tuple[What, list[tuple[int, int]]]]:
-    """Lines of one channel, from the strongest down, out of every recording that shows them.
+    """Remove the lines of one channel from every recording that shows them, the strongest first.
 
-    Yields what each repeats with, where that is not the load alone, and its places: of a recording,
-    and of the line in it.
+    Yields what each line repeats with, unless that is the load alone, and its (recording, line)
+    indices.
     """
     for _ in range(MOST_LINES):
         tops: list[tuple[float, int, Scale, int]] = []
@@ -407,7 +416,7 @@ def _lines(own: Sequence[_Residual], chance: float) -> Iterator[tuple[What, list
         most, first, _, k = max(tops)
         if most < -math.log(chance):
             return
-        # Where it is on each scale, per second or per turn of the motor.
+        # Position of the line on each scale, per second or per motor turn.
         strongest = own[first]
         at = {s: strongest.gain(s, k)[1] / strongest.lengths[s] for s in BETWEEN_ORDERS}
         if k % strongest.rotations == 0:
@@ -460,7 +469,7 @@ def _with_load(
 
 
 def _numbers(channel: str, own: Sequence[_Residual], tests: int) -> Iterator[Unexplained]:
-    """What a channel has one of: the largest of those sure."""
+    """Significant offset and drift of a channel, the largest over the recordings."""
     unit, nan = unit_of(channel), math.nan
     every: list[tuple[What, str, list[tuple[float, float]]]] = [
         ("offset", unit, [one.offset for one in own]),
