@@ -1,14 +1,14 @@
-"""What a two-mass bench lacks, from recordings beside their simulation.
+"""Find what a two-mass bench lacks, by comparing recordings with their simulation.
 
-The view of the closed loop for :mod:`.linear`: derivatives of the simulation by everything unknown
-and by every hypothesis, and bands of load orders in which anything may be off. Whitened residuals
-are averaged over the rotations first, as all that repeats is in the average; what does not repeat
-is noise. Beside a law of the shaft a tenth of its own signal, free in every band of every channel,
-is always there: no real shaft follows the catalogue's laws to the last digit.
+This is the closed-loop view for :mod:`.linear`: derivatives of the simulation by all unknowns and
+hypotheses, and bands of load orders in which anything may be wrong. Whitened residuals are first
+averaged over the rotations: the mean holds all that repeats, and the rest is noise. No real shaft
+follows the catalogue's laws exactly. So each shaft law comes with free errors of a tenth of its own
+signal, in every band of every channel.
 
-A linearisation holds near its fit. So sets are fitted in full from what it promises, the best of
-them is linearised again, until nothing promises more; where a fit is far off, the whole range of
-the gap is scanned too. The posterior is that of all sets that were fitted.
+A linearisation holds near its fit. So the sets that it promises are fitted in full and the best is
+linearised again, until nothing promises more. If a fit is far off, the whole range of the gap is
+scanned too. The posterior covers all fitted sets.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 CONTENDERS = 4
-"""Sets that are fitted from one linearisation, the most promising."""
+"""Number of sets fitted from one linearisation, the most promising."""
 
 LOOP_COLUMNS = 10
-"""Of the noise in the loop of one recording, the strongest."""
+"""Number of columns for one recording's noise in the loop, the strongest."""
 
 MOST_FITS = 16
 MOST_ROUNDS = 4
@@ -82,11 +82,11 @@ class FittedSet:
     Attributes
     ----------
     log_evidence
-        ln of its prior times evidence, anything beside it left out.
+        ln of prior times evidence, without terms that are not in the set.
     posterior
-        Of what is always beside it, and of the misfit.
+        Posterior of the terms always included, and of the misfit.
     beyond
-        χ² beyond noise of what repeats, by band, the mean first, (b,).
+        χ² beyond noise of the repeating part, by band, the mean first, (b,).
     """
 
     explanation: Explanation
@@ -96,27 +96,27 @@ class FittedSet:
 
     @property
     def fit(self) -> SimulatedFit:
-        """Of everything unknown."""
+        """Fit of all unknowns."""
         return self.explanation.fit
 
     @property
     def excess(self) -> float:
-        """χ² beyond noise of what repeats."""
+        """χ² beyond noise of the repeating part."""
         return max(float(self.beyond.sum()), 0.0)
 
     @property
     def misfits(self) -> FloatArray:
-        """What of it lies in bands that have a misfit, (b,)."""
+        """Excess χ² of the bands that have a misfit, (b,)."""
         return np.maximum(self.beyond, 0.0) * (np.array(self.posterior.models[0].scales) > 0.0)
 
     @property
     def misfit(self) -> float:
-        """Of all bands."""
+        """Sum of ``misfits``."""
         return float(self.misfits.sum())
 
     def draws(self, generator: np.random.Generator, n: int) -> FloatArray:
-        """Of everything unknown, with misfit and what is always beside it, (n, d), normal at the
-        fit."""
+        """Draws of all unknowns, (n, d), from the normal approximation, with misfit and linear
+        terms."""
         sd = np.sqrt(np.diag(self.fit.covariance))
         correlation = self.fit.covariance / np.outer(sd, sd)
         around = generator.multivariate_normal(np.zeros(sd.size), correlation, n, method="eigh")
@@ -124,15 +124,15 @@ class FittedSet:
 
     @cached_property
     def explains_all(self) -> bool:
-        """Whether nothing repeats any more."""
+        """Whether nothing unexplained repeats."""
         return is_explained(self.fit)
 
 
 @dataclass(frozen=True, slots=True)
 class NamedCandidate:
-    """A name, with those that these recordings cannot tell from it.
+    """A named hypothesis, with those that these recordings cannot distinguish from it.
 
-    ``gain``: fall of χ² by it; ``indistinguishable``: others, each with the set that has it.
+    ``gain``: its reduction of χ²; ``indistinguishable``: the others, each with a set that has it.
     """
 
     candidate: Candidate
@@ -142,12 +142,12 @@ class NamedCandidate:
 
     @property
     def name(self) -> str:
-        """Of the effect or parameter."""
+        """Name of the effect or parameter."""
         return self.candidate.name
 
     @property
     def members(self) -> tuple[str, ...]:
-        """The set of names, the most probable first."""
+        """Its name and those indistinguishable from it, the most probable first."""
         return tuple(dict.fromkeys((self.name, *(c.name for c, _ in self.indistinguishable))))
 
 
@@ -158,16 +158,16 @@ class Naming:
     Attributes
     ----------
     nominal, final
-        Before and after adding what is named; the same where nothing is. What was missing is no
-        noise: the noise of ``final`` is estimated without it.
+        Fits before and after adding what is named; the same if nothing is. The noise of ``final``
+        is estimated from its own residuals.
     sets
-        All that were fitted, each with its probability.
+        All fitted sets, each with its probability.
     repeats
-        Whether something repeats that nothing explains.
+        Whether something unexplained repeats.
     nearest
-        The most probable set, where it explains too little to be named.
+        The most probable set, if it explains too little to be named.
     rest
-        What stands beside ``final``: see :func:`name_missing`.
+        Terms linearised at ``final``: see :func:`name_missing`.
     """
 
     nominal: Explanation
@@ -180,12 +180,12 @@ class Naming:
 
     @property
     def others(self) -> list[tuple[FittedSet, float]]:
-        """All but ``final``."""
+        """All sets but ``final``."""
         return [(own, p) for own, p in self.sets if own.explanation.keys != self.final.keys]
 
     @property
     def alone(self) -> list[FittedSet]:
-        """Each candidate that was fitted alone, most probable first."""
+        """Sets of a single candidate, the most probable first."""
         return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
 
 
@@ -195,11 +195,10 @@ def averaged(
     seed: np.random.SeedSequence,
     among: Sequence[Direction] = (),
 ) -> DirectPosterior:
-    """Draws of all sets: each other one than that of ``posterior`` has its share, normal at its
-    fit; of what only one of the two has, the draws stay.
+    """Average the draws over all sets, each with its share, normal at its fit.
 
-    ``others``: each with its probability; ``among``: what is always beside each set, where the
-    search had nothing there.
+    Unknowns that only one of two sets has keep their draws. ``others``: sets with their
+    probabilities; ``among``: directions to marginalise in each set, if the search did not do so.
     """
     model = posterior.fit.model
     rng, draws = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
@@ -222,20 +221,19 @@ def name_missing(
     among: Sequence[Direction] = (),
     progress: Progress = silent,
 ) -> Naming:
-    """The posterior over sets of candidates, and the names that it gives.
+    """Compute the posterior over sets of candidates, and name hypotheses from it.
 
-    What remains beside what is named, laws and drift is a law that no catalogue has. It is taken
-    for a sum of all those that it has, each of its usual size times one factor that is learned, and
-    of anything that repeats, alike over a band of load orders.
+    A law outside the catalogue may remain unexplained. It is modelled as a sum of all laws of the
+    catalogue, their usual sizes times one learned factor, and of anything that repeats, equally
+    over a band of load orders.
 
     Parameters
     ----------
     candidates
-        All that come into question, given the motor orders that stand out. Orders are looked for
-        again in what the best set leaves: they may have stood behind it.
+        Makes all candidates from the motor orders that stand out. Orders are sought again in the
+        residual of the best set, which may have hidden them.
     among
-        What is always beside each set, beyond its unknowns; where nothing is, nothing is said of
-        what stands beside ``final``.
+        Directions marginalised in each set. If empty, ``rest`` of the result is ``None``.
     progress
         Called with (fits made, fits expected).
     """
@@ -245,7 +243,7 @@ def name_missing(
 
 
 class SetSearch:
-    """Sets that were fitted, from the nominal one on, and what they promise.
+    """Search over fitted sets, from the nominal one on.
 
     Parameters as :func:`name_missing` takes them.
     """
@@ -260,12 +258,12 @@ class SetSearch:
     ) -> None:
         self._catalogue, self._most, self._among = candidates, most, among
         self._progress = progress
-        # One noise for all sets, as the recorder's is; and its simulation is dear.
+        # All sets share the recorder's noise, and its simulation is expensive.
         self._noise = noise_in_loop(nominal.fit)
         self._candidates = {c.key: c for c in candidates(motor_orders(nominal.fit))}
         self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
-        # As many hypotheses as there are at the start: those found later raise no odds.
+        # The initial number of hypotheses: later ones do not change the odds.
         labels = {c.label for c in self._candidates.values()}
         self._probability = even_probability(len(labels))
         self.nominal = self._add(nominal)
@@ -277,7 +275,7 @@ class SetSearch:
         return max(self._sets.values(), key=lambda own: own.log_evidence)
 
     def _climb(self) -> None:
-        """Fit what is promised, from the best set on, until nothing promises more."""
+        """Fit what the best set promises, until nothing promises more."""
         for _ in range(MOST_ROUNDS):
             best = self.best
             self._find_orders(best)
@@ -291,7 +289,7 @@ class SetSearch:
                 if self._stalls(best):
                     break
                 continue
-            # What was added first may only have stood in for what came after it.
+            # An early candidate may only have replaced a later one.
             for less in list(self._reduced(best)):
                 if len(self._sets) <= MOST_FITS:
                     self._explore(less)
@@ -300,7 +298,7 @@ class SetSearch:
         self._shed()
 
     def _shed(self) -> None:
-        """Fit the best set less each of its hypotheses, until none does without one."""
+        """Fit the best set without each of its hypotheses, until none can be left out."""
         while True:
             best = self.best
             for _ in self._reduced(best):
@@ -309,9 +307,10 @@ class SetSearch:
                 return
 
     def _scan(self) -> None:
-        """Candidates that move the gap, from their whole range and the gap's.
+        """Fit candidates that move the gap, from scans of their whole range and the gap's.
 
-        Where laws and drift are beside the fit, only what may be large in one recording.
+        If laws and drift are marginalised, only effects that may be large in one recording are
+        scanned.
         """
         scanned = [
             c
@@ -320,18 +319,18 @@ class SetSearch:
         ]
         for explanation in from_afar(self.nominal.explanation, scanned):
             self._add(polished(explanation))
-            # Where another law is missing too, alone it is drawn away again.
+            # If another law is missing too, a fit of this one alone is drawn away again.
             self._explore(weighed(explanation, self._among, self._noise))
 
     @property
     def sets(self) -> tuple[tuple[FittedSet, float], ...]:
-        """All that were fitted, each with its probability, the most probable first."""
+        """All fitted sets, each with its probability, the most probable first."""
         fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
         weights = np.exp([own.log_evidence - fitted[0].log_evidence for own in fitted])
         return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
 
     def answer(self) -> Naming:
-        """Names by the one rule."""
+        """Name hypotheses by the threshold on their probability."""
         sets = self.sets
         first, _ = sets[0]
         nominal, best = self.nominal.explanation, first.explanation
@@ -369,7 +368,7 @@ class SetSearch:
         )
 
     def beside(self, explanation: Explanation) -> Beside:
-        """Laws and drift beside a fit; where something remains, all other laws at once too."""
+        """Linearise laws and drift at a fit; with a misfit, all other laws together too."""
         rest = beside(explanation.fit, self._among)
         if rest.explains:
             return rest
@@ -383,28 +382,30 @@ class SetSearch:
         return replace(rest, posterior=search(whole, 0))
 
     def _is_unexplained(self, own: FittedSet) -> bool:
-        """What no hypothesis holds is more than a share of the disagreement beside the means: any
-        friction holds these, and they may be nearly all of it."""
+        """Whether the share of the disagreement that no hypothesis explains is too large.
+
+        Means are left out: any friction explains them, and they may be nearly all of it.
+        """
         share = own.misfits[1:].sum() / max(float(self.nominal.beyond[1:].sum()), 1e-300)
         return share > UNEXPLAINED_SHARE and not own.explains_all
 
     def _is_hopeless(self) -> bool:
-        """Whether a few hypotheses more cannot hold nearly all, as none yet holds anything much."""
+        """Whether no set explains enough yet for a few more hypotheses to explain nearly all."""
         least = min(own.misfit for own in self._sets.values())
         return least > (1.0 - HOPEFUL_SHARE) * self.nominal.excess
 
     def _stalls(self, before: FittedSet) -> bool:
-        """Whether the best set holds next to nothing more than the last, and leaves much."""
+        """Whether the best set explains hardly more than the last one, and leaves much."""
         best = self.best
         return not best.explains_all and best.misfit > (1.0 - HOPEFUL_SHARE) * before.misfit
 
     def _is_far(self, own: FittedSet) -> bool:
-        """Whether what a bench lacks may have drawn the gap away from where it is."""
+        """Whether a missing effect may have drawn the gap far away."""
         moving = any(observation.motion is not None for observation in own.fit.model.recordings)
         return not moving and self._is_unexplained(own)
 
     def _find_orders(self, own: FittedSet) -> None:
-        """Orders that stood behind what is in the set."""
+        """Add candidates at motor orders that the set's hypotheses had hidden."""
         if own.explanation.candidates and own.explanation.keys not in self._explored:
             late = {c.key: c for c in self._catalogue(motor_orders(own.fit))}
             self._candidates |= {k: c for k, c in late.items() if k not in self._candidates}
@@ -416,7 +417,7 @@ class SetSearch:
                 yield rest
 
     def _without(self, own: FittedSet, place: int) -> FittedSet | None:
-        """A set less one of its hypotheses."""
+        """A set without one of its hypotheses."""
         keys = own.explanation.keys - {own.explanation.candidates[place].key}
         if keys not in self._sets:
             less = reduced(self.nominal.explanation, own.explanation, [place])
@@ -426,7 +427,7 @@ class SetSearch:
         return self._sets[keys]
 
     def _explore(self, base: FittedSet) -> None:
-        """Fit what a set promises beside itself."""
+        """Fit the extensions that a set promises."""
         keys = base.explanation.keys
         room = self._most - len(base.explanation.candidates)
         is_known = self._sets.get(keys) is base
@@ -464,15 +465,16 @@ class SetSearch:
                 self._add(fitted, base)
 
     def _open(self, base: Explanation) -> list[Candidate]:
-        """What may stand beside a set."""
+        """Candidates that may be added to a set."""
         every = self._candidates.values()
         return [c for c in every if not any(own.bars(c) for own in base.candidates)]
 
     def _add(self, explanation: Explanation, base: FittedSet | None = None) -> FittedSet:
-        """A set with its evidence; the better one of two fits.
+        """Add a set with its evidence; of two fits, keep the better.
 
-        ``base``: the set that a rough fit was promised beside. It is fitted to the end where it may
-        have weight, if either that explains all or this holds much of what that leaves.
+        ``base``: the set whose linearisation promised this rough fit. The fit is completed if the
+        set may have weight, and if either ``base`` explains everything or this set explains much of
+        the excess of ``base``.
         """
         keys = explanation.keys
         own = self._weighed(explanation)
@@ -486,7 +488,7 @@ class SetSearch:
         known = self._sets.get(keys)
         if known is None or own.log_evidence > known.log_evidence:
             self._sets[keys] = own
-        # Of all sets together the derivatives would fill the memory.
+        # The Jacobians of all sets together would fill the memory.
         for other in self._sets.values():
             if other is not self.best:
                 other.explanation = other.explanation.without_derivatives()
@@ -498,7 +500,7 @@ class SetSearch:
         return own
 
     def _linearised(self, explanation: Explanation, candidates: Sequence[Candidate]) -> Linearised:
-        """The view at a fit: terms of candidates, each from one of its starts."""
+        """The view at a fit: one term for each candidate and start."""
         terms: list[Term] = []
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
         for candidate in candidates:
@@ -528,15 +530,16 @@ class SetSearch:
         candidate: Candidate,
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]],
     ) -> list[list[FloatArray]]:
-        """Of one recording's candidate the rows of that recording, where all share the effect.
+        """Columns of a candidate. If it acts in one recording only, those of the shared effect, cut
+        to its rows.
 
-        So what is known of the recording has not changed in it.
+        So the recording's known values are those of the shared effect.
         """
         if candidate.recording is None or candidate.is_periodic:
             return columns_of(fit, candidate)
         key = candidate.name, candidate.order
         if key not in simulated:
-            # Its unknowns in one recording and everywhere are the same change there.
+            # In this recording, its own unknowns and shared ones make the same change.
             shared = tuple(replace(u, recording=None) for u in candidate.unknowns)
             everywhere = replace(candidate, recording=None, unknowns=shared)
             simulated[key] = columns_of(fit, everywhere)
@@ -546,14 +549,14 @@ class SetSearch:
         return [[fit.model.only_in(place, column) for column in own] for own in simulated[key]]
 
     def _excluded(self, candidate: Candidate) -> frozenset[str]:
-        """Labels of what cannot stand beside a candidate."""
+        """Labels of hypotheses that cannot be in one set with a candidate."""
         names = {u.name for u in candidate.unknowns}
         return frozenset(
             other.label
             for other in self._candidates.values()
             if other.label != candidate.label
             if candidate.bars(other)
-            # In all recordings and in one of them: as good as in two by themselves.
+            # An effect in all recordings and in one is as good as one in each of two.
             or (
                 None in (candidate.recording, other.recording)
                 and names & {u.name for u in other.unknowns}
@@ -566,15 +569,15 @@ def weighed(
     among: Sequence[Direction] = (),
     noise: Sequence[Sequence[FloatArray]] | None = None,
 ) -> FittedSet:
-    """A set with its evidence, all sets taken to be as likely beforehand.
+    """Compute the evidence of a set, with equal prior odds for all sets.
 
-    ``among``: what is always beside it; ``noise``: in the loop, as :func:`noise_in_loop` of another
-    fit has it.
+    ``among``: directions to marginalise; ``noise``: in the loop, as :func:`noise_in_loop` made it
+    at another fit.
     """
     view = linearised(explanation, (), among, noise)
     alone = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
-    # Laplace's volume of what is added, beside that of everything in the posterior.
+    # Laplace volume of the added unknowns; the posterior has that of all others.
     k = sum(len(c.unknowns) for c in explanation.candidates)
     evidence = alone.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
     return FittedSet(explanation, evidence, alone, np.array(beyond))
@@ -586,7 +589,7 @@ def linearised(
     among: Sequence[Direction] = (),
     noise: Sequence[Sequence[FloatArray]] | None = None,
 ) -> Linearised:
-    """The view at a fit: terms of whitened signals, (N, k) each, then what is always there."""
+    """The view at a fit: terms of whitened signals, (N, k) each, then those always included."""
     fit = explanation.fit
     noise = noise_in_loop(fit) if noise is None else noise
     labels, columns = always_terms(fit, among) if among else ((), [])
@@ -596,7 +599,7 @@ def linearised(
 
 
 def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
-    """What is added of torques over the twist, whose form a real joint has its own of."""
+    """Candidates that are torques over the twist: a real joint has its own form of these laws."""
     return [
         c
         for c in explanation.candidates
@@ -605,7 +608,7 @@ def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
 
 
 def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[FloatArray]:
-    """What a law of the shaft does to the whitened signals, (N,); nothing of anything else."""
+    """Effect of a shaft law on the whitened signals, (N,); nothing for other candidates."""
     if candidate not in laws_of_shaft(explanation):
         return
     fit = explanation.fit
@@ -622,14 +625,14 @@ def _banded(
     forms: Sequence[FloatArray],
     noise: Sequence[Sequence[FloatArray]],
 ) -> Linearised:
-    """Derivatives, terms and residual of a fit by bands of load orders.
+    """Jacobian, terms and residual of a fit by bands of load orders.
 
-    Of ``forms``, (N,) each, a term more for every piece of a band and channel of a recording. Only
-    inner products matter: a triangle has those of all rows.
+    Each of ``forms``, (N,), gets one more term for every band and channel of a recording. Only
+    inner products matter, so R factors replace the rows.
     """
     model, d = fit.model, fit.point.size
     widths = [term.columns.shape[1] for term in terms]
-    # What the end of its range has stopped goes no further, whatever would explain more there.
+    # An unknown stopped by the end of its range moves no further, whatever that would explain.
     stopped = (fit.point <= model.low) | (fit.point >= model.high)
     pull = np.where(stopped, 0.0, prior_pull(model, fit.point))
     columns = [fit.derivatives(), *(term.columns for term in terms)]
@@ -639,7 +642,7 @@ def _banded(
     pieces: list[list[FloatArray]] = [[] for _ in BANDS]
     ends = np.cumsum([0, *(part.size for part in model.by_recording(fit.residual))])
     for observation, (begin, end) in zip(model.recordings, itertools.pairwise(ends), strict=True):
-        # One recording after the other: all columns of all of them once more would fill the memory.
+        # One recording at a time: a second copy of all columns would fill the memory.
         rows = np.hstack([part[begin:end] for part in columns])
         rows[:, :d][:, stopped] = 0.0
         total += rows.T @ rows
@@ -696,7 +699,7 @@ def _banded(
 
 
 def _largest_line(model: SimulatedSignals) -> float:
-    """Of the whitened channels beside their means, in the mean rotation's units: the median."""
+    """Median over the whitened channels of their largest line, in units of the mean rotation."""
     largest = []
     for observation, noise in zip(model.recordings, model.noise, strict=True):
         for row in noise.whiten(observation.signals):
@@ -706,11 +709,12 @@ def _largest_line(model: SimulatedSignals) -> float:
 
 
 def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
-    """Columns of noise that goes round the loop, where it has more variance than the linear loop
-    makes of it, by band, recording and channel; empty without such noise.
+    """Columns of noise fed back by the loop, by band, recording and channel; empty if there is
+    none.
 
-    A column of standard normal size is a covariance of its outer product. In the mean rotation
-    noise has the covariance that it has in each.
+    They hold its variance beyond that of the linear loop. A column with a standard normal size adds
+    the covariance of its outer product. Noise has the same covariance in the mean rotation as in
+    each.
     """
     model = fit.model
     made: list[tuple[int, FloatArray]] = []
@@ -749,9 +753,9 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
 
 
 def _by_band(rows: FloatArray, observation: Observed) -> Iterator[FloatArray]:
-    """Of whitened rows (n, p) the mean rotation by bands of load orders, noise alike in each.
+    """Mean rotation of whitened rows (n, p) by bands of load orders, with the same noise in each.
 
-    A motion that does not repeat counts as one rotation, in cycles a quarter of it.
+    A motion that does not repeat counts as one rotation, in cycles per quarter of it.
     """
     lag = observation.lag if observation.repeats else len(rows)
     turns = whole_rotations(rows, lag)
@@ -759,7 +763,7 @@ def _by_band(rows: FloatArray, observation: Observed) -> Iterator[FloatArray]:
 
 
 def _spectral_bands(mean: FloatArray, observation: Observed) -> Iterator[FloatArray]:
-    """Of a rotation (lag, p) by bands of load orders, (k, p) each."""
+    """Split one rotation (lag, p) into bands of load orders, (k, p) each."""
     spectrum = np.fft.rfft(mean, axis=0) / math.sqrt(len(mean))
     yield spectrum[:1].real
     below = 1

@@ -1,19 +1,20 @@
-"""Which hypotheses a residual asks for, and what that leaves open for the parameters.
+"""Posterior over sets of hypotheses, and over the parameters, for a linearised view.
 
 A view (closed loop, inverse dynamics, speed lines, free motion) linearises at its fit:
 
     r = J u + Σ_k s_k C_k a_k + H h + e,   e ~ N(0, I)
 
-r is the whitened residual, u the shift of the fitted parameters, a_k the sizes of hypotheses in
-units of their usual size (normal or half-normal with standard deviation 1), s_k whether a
-hypothesis is there, h what none of them explains, each group of its columns with a scale that is
-learned. All but s, the signs and the scales is normal, so that u, h and the hypotheses that are
-always there are marginalised exactly, from Gram matrices (Rasmussen and
-Williams 2006, section 2.7).
-Half-normal sizes multiply the evidence by 2 an amplitude and by the probability of the orthant,
-by expectation propagation (Cunningham, Hennig and Lacoste-Julien 2011), exact for one amplitude.
-The prior over sets is a Bernoulli one (George and McCulloch 1993); sets are enumerated up to pairs
-and continued from the best. Nothing here knows what a hypothesis means.
+r is the whitened residual, u the shift of the fitted parameters, and a_k the sizes of hypothesis k
+in units of their usual size, normal or half-normal with standard deviation 1. s_k says whether the
+hypothesis holds. h is the discrepancy that no hypothesis explains; each group of its columns has a
+learned scale. Everything is normal but s, the signs and the scales. So u, h and the hypotheses
+always included are marginalised exactly from Gram matrices (Rasmussen and Williams 2006, section
+2.7).
+
+Each half-normal size multiplies the evidence by 2, and together they multiply it by an orthant
+probability. Expectation propagation computes it, exactly for one amplitude (Cunningham, Hennig and
+Lacoste-Julien 2011). The prior over sets is Bernoulli (George and McCulloch 1993). All pairs are
+tried, and larger sets are extended from the best. Nothing here knows what a hypothesis means.
 """
 
 from __future__ import annotations
@@ -49,37 +50,38 @@ from bayesbl.sampling.importance import normal_between
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 GIBBS_SWEEPS = 25
 EVEN: Mapping[str, float] = MappingProxyType({})
-"""Prior probabilities of hypotheses, even over all."""
+"""No individual prior probabilities: all hypotheses are equally probable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """One way a hypothesis can look.
+    """One form of a hypothesis.
 
     Attributes
     ----------
     hypothesis
-        Its label. Several terms of one label are alternatives: shapes, starts. At most one of them
-        is in a set.
+        Label. Terms with the same label are alternatives (shapes, starts): a set has at most one of
+        them.
     columns
-        (N, k) whitened change of the prediction by one usual size of each amplitude.
+        (N, k) whitened change of the prediction per usual size of each amplitude.
     positive
-        The amplitude cannot be negative: a half-normal prior (k = 1).
+        Whether the amplitude is half-normal, never negative (k = 1).
     always
-        Never selected, always there.
+        Whether it is always included, never selected.
     absent
-        Probability that a positive one that is always there is of no size: teeth pull at one
-        another or do not, a speed is averaged or is not. A half-normal alone would have a little of
-        each law in every joint, and all of them widen a gap. Only draws know of it.
+        Prior probability that a positive term which is always included has size zero: teeth attract
+        one another or not, a speed is averaged or not. A half-normal prior alone would put a little
+        of each law into every joint, and all of them would widen the gap's interval. Only draws use
+        it.
     prior_weight
         Share of the hypothesis' prior probability.
     excludes
-        Labels of hypotheses that it cannot stand beside.
+        Labels of hypotheses that cannot be in one set with it.
     requires
-        Labels of hypotheses without which it makes no sense (strong heredity; Chipman 1996, Can. J.
-        Stat. 24, 17); those that are not among the terms are taken to hold.
+        Labels of hypotheses that it depends on (strong heredity; Chipman 1996, Can. J. Stat. 24,
+        17). Those without terms are taken to hold.
     unit, source
-        What one usual size of its amplitudes is, (k,), and what it is a term of, for whoever asks.
+        Usual size of its amplitudes, (k,), and the origin of the term, for callers.
     """
 
     hypothesis: str
@@ -100,18 +102,18 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscrepancyGroup:
-    """Columns of what no hypothesis explains that share one learned scale.
+    """Columns of the discrepancy that share one learned scale.
 
     Attributes
     ----------
     kind
         What it is: ``"motor_torque_over_motor_angle"``, ``"motor_speed_error"``, …
     columns
-        Which of :attr:`Linearised.discrepancy`.
+        Its columns of :attr:`Linearised.discrepancy`.
     usual
-        Size that its root mean square usually has, in standard deviations of a sample's noise: a
-        scale is half-normal with it where it is there, beside being flat in its logarithm. What
-        laws explain is so not left to a discrepancy of their size.
+        Usual root mean square, in standard deviations of a sample's noise. The prior of the scale,
+        flat in its logarithm, has a half-normal factor of this width. So a discrepancy of this size
+        does not replace laws.
     """
 
     kind: str
@@ -121,18 +123,18 @@ class DiscrepancyGroup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MisfitBand:
-    """Rows in which anything may be off besides noise: errors alike in size, and no more is known.
+    """Rows with errors besides noise, of the same variance and otherwise unknown.
 
-    The same as a group with a column for each row, at the price of a factor for each.
+    Equivalent to a group with one column for each row, at the cost of one factor for each.
 
     Attributes
     ----------
     kind
         What the rows are: ``"load orders up to 8"``, …
     rows
-        Of the residual, the columns and the derivatives.
+        Rows of the residual, the columns and the Jacobian.
     freedom
-        Independent values that they stand for, where they are a triangle of more.
+        Number of independent values, if the rows are an R factor of more.
     usual
         As :attr:`DiscrepancyGroup.usual`.
     """
@@ -150,21 +152,21 @@ class Linearised:
     Attributes
     ----------
     residual
-        (N,) whitened, measured less predicted.
+        (N,) whitened, measured minus predicted.
     jacobian
         (N, d) change of the prediction by each fitted parameter.
     prior_precision
         (d, d) of the fitted parameters; zeros where nothing is known.
     prior_pull
-        (d,) gradient of the log prior at the fit: zeros at the prior's centre.
+        (d,) gradient of the log prior at the fit; zeros at the prior's centre.
     terms
-        The catalogue as this view sees it.
+        The catalogue in this view.
     discrepancy
         (N, m) columns, in any unit; each group is scaled to a root mean square of one.
     groups
-        What these columns are.
+        Groups of these columns.
     bands
-        Rows that nothing is known of; no two overlap.
+        Rows with unknown errors; no two overlap.
     """
 
     residual: FloatArray
@@ -178,12 +180,12 @@ class Linearised:
 
     @property
     def scaled(self) -> tuple[DiscrepancyGroup | MisfitBand, ...]:
-        """All that has a scale, in the order of :attr:`Model.scales`."""
+        """All groups and bands, in the order of :attr:`Model.scales`."""
         return (*self.groups, *self.bands)
 
 
 def even_probability(hypotheses: int) -> float:
-    """Of each of so many in a joint nobody has looked at."""
+    """Prior probability of each of this many hypotheses in a joint that nobody has examined."""
     return min(EXPECTED_HYPOTHESES / max(1, hypotheses), 0.5)
 
 
@@ -199,7 +201,7 @@ class Model:
     Attributes
     ----------
     terms
-        Indices into :attr:`Linearised.terms`, those always there left out.
+        Indices into :attr:`Linearised.terms`, without those always included.
     scales
         Standard deviation of each discrepancy group, then of each misfit band, in units of a
         sample's noise; 0: absent.
@@ -215,9 +217,12 @@ class Model:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Draws:
-    """(n, c) sizes in usual ones of all columns of all terms, (n, m) of the discrepancy's columns
-    as the caller scaled them, (n, d) what both move the fitted parameters by, and (n, d) u itself,
-    as the linearisation has it."""
+    """Draws of the posterior.
+
+    (n, c) sizes of all columns of all terms in usual sizes, (n, m) coefficients of the
+    discrepancy's columns as the caller scaled them, (n, d) shift of the fitted parameters by both,
+    and (n, d) u itself in the linearisation.
+    """
 
     sizes: FloatArray
     discrepancy: FloatArray
@@ -228,10 +233,10 @@ class Draws:
 def orthant(
     mean: FloatArray, precision: FloatArray, positive: np.ndarray, sweeps: int = 12
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ln P(a > 0 where ``positive``) of normals, and mean and covariance within, of each row.
+    """ln P(a > 0 where ``positive``) of normal vectors, and mean and covariance given that, by row.
 
-    Expectation propagation on the sites a_i > 0. Exact where one amplitude is bounded; elsewhere to
-    some parts in a thousand. (B, n), (B, n, n) and (B, n) to (B,), (B, n) and (B, n, n).
+    Expectation propagation on the sites a_i > 0. Exact for one bounded amplitude, otherwise to some
+    parts in a thousand. (B, n), (B, n, n) and (B, n) to (B,), (B, n) and (B, n, n).
     """
     covariance = np.linalg.inv(precision)
     natural = np.einsum("bij,bj->bi", precision, mean)
@@ -245,7 +250,7 @@ def orthant(
         moved = 0.0
         for i in bounded:
             on = positive[:, i]
-            # Rounding must not take a variance below none where the matrix is nearly singular.
+            # Rounding must not make a variance negative if the matrix is nearly singular.
             s = np.maximum(sigma[:, i, i], 1e-12 * np.abs(covariance[:, i, i]))
             cavity = 1.0 / np.maximum(1.0 / s - t[:, i], 1e-12 / s)
             middle = cavity * (mu[:, i] / s - v[:, i])
@@ -280,14 +285,14 @@ def orthant(
 
 
 def _factor(gram: FloatArray) -> tuple[FloatArray, float]:
-    """A⁻¹ of a positive semidefinite matrix of columns in any unit, and ln |A|; of directions
-    without data 0."""
+    """A⁻¹ and ln |A| of a positive semidefinite Gram matrix in any units; directions without data
+    give 0."""
     root, log_det = _inverse_root(gram)
     return np.asarray(root @ root.T), log_det
 
 
 def _inverse_root(gram: FloatArray) -> tuple[FloatArray, float]:
-    """R of R Rᵀ = A⁻¹, (n, rank), and ln |A|."""
+    """R with R Rᵀ = A⁻¹, (n, rank), and ln |A|."""
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > 1e-12 * max(1.0, float(values[-1]) if values.size else 1.0)
@@ -297,7 +302,7 @@ def _inverse_root(gram: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _root(matrix: np.ndarray) -> FloatArray:
-    """Lower triangular root of a positive definite matrix, beyond rounding where noise is tiny."""
+    """Cholesky factor of a positive definite matrix, robust to rounding where noise is tiny."""
     try:
         return np.asarray(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
@@ -310,7 +315,7 @@ def _root(matrix: np.ndarray) -> FloatArray:
 def _without_rounding(gram: FloatArray) -> FloatArray:
     """A Gram matrix to which priors of size one can be added.
 
-    Where noise is tiny, rounding of what the nuisance takes leaves squares below minus one.
+    If noise is tiny, rounding in the marginalisation leaves eigenvalues below −1.
     """
     try:
         np.linalg.cholesky(gram + np.eye(len(gram)))
@@ -322,8 +327,11 @@ def _without_rounding(gram: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Base:
-    """Gram matrices at one scale of the misfit bands: of the nuisance (u and what is always there),
-    between it and the other columns, and of those with it marginalised."""
+    """Gram matrices at one scale of the misfit bands.
+
+    They are those of the nuisance parameters (u and the terms always included), of these with the
+    other columns, and of the other columns after marginalisation.
+    """
 
     nuisance_gram: FloatArray
     inverse: FloatArray
@@ -356,7 +364,7 @@ class _Base:
 
 
 class _Grams:
-    """Everything that depends on the view alone: the Gram matrices with u marginalised."""
+    """Gram matrices with u marginalised: everything that depends on the view alone."""
 
     def __init__(self, view: Linearised, probability: Mapping[str, float]) -> None:
         self.view = view
@@ -416,7 +424,8 @@ class _Grams:
         self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float]] = {}
 
     def base(self, level: tuple[int, ...]) -> _Base:
-        """Everything with u and what is always there marginalised, at the scales of the bands."""
+        """Everything after marginalising u and the terms always included, at the scales of the
+        bands."""
         own = level[len(self.view.groups) :]
         if own not in self._bases:
             total = self.rest_part.copy()
@@ -437,7 +446,7 @@ class _Grams:
         return scale
 
     def _apart(self) -> np.ndarray:
-        """Which terms cannot stand beside which."""
+        """Matrix of the pairs of terms that cannot be in one set."""
         terms = self.view.terms
         apart = np.zeros((len(terms), len(terms)), dtype=bool)
         labels = np.array([t.hypothesis for t in terms])
@@ -446,7 +455,7 @@ class _Grams:
         return apart | apart.T
 
     def precision_of_h(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-        """Columns of h that are there, and their prior precision."""
+        """Indices of the present columns of h, and their prior precision."""
         there, precision = [], []
         for index, group in zip(level, self.view.groups, strict=False):
             if index:
@@ -458,7 +467,7 @@ class _Grams:
         return np.concatenate(there), np.concatenate(precision)
 
     def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float]:
-        """Gram and right side of the terms with h marginalised, and its ln evidence."""
+        """Gram matrix and right side of the terms with h marginalised, and the ln evidence."""
         if level not in self._cache:
             k, base = self.k, self.base(level)
             gram, right = base.gram[:k, :k], base.right[:k]
@@ -467,7 +476,7 @@ class _Grams:
             if there.size:
                 at = there + k
                 root = np.sqrt(precision)
-                # (R⁻¹ G R⁻¹ + I), R² the precision: well scaled at every scale.
+                # (R⁻¹ G R⁻¹ + I), R² the precision, is well conditioned at every scale.
                 inside = base.gram[np.ix_(at, at)] / np.outer(root, root) + np.eye(there.size)
                 lower = _root(inside)
                 cross = np.linalg.solve(lower, base.gram[np.ix_(at, np.arange(k))] / root[:, None])
@@ -475,7 +484,8 @@ class _Grams:
                 gram = _without_rounding(gram - cross.T @ cross)
                 right = right - cross.T @ own
                 log_evidence += 0.5 * float(own @ own) - float(np.log(np.diag(lower)).sum())
-                # No h takes more than all that is there: then rounding has the better of its scale.
+                # h cannot explain more than the total χ²; if it does, rounding dominates at its
+                # scale.
                 if float(own @ own) > (1.0 + 1e-6) * base.chi_square:
                     right, log_evidence = np.zeros(k), -math.inf
             absent = DISCREPANCY_ABSENT
@@ -487,11 +497,11 @@ class _Grams:
         return self._cache[level]
 
     def columns(self, terms: tuple[int, ...]) -> np.ndarray:
-        """Of the terms of a set, and of those always there, (n,)."""
+        """Columns of a set's terms and of those always included, (n,)."""
         return np.concatenate([*(self.columns_of[i] for i in terms), self.bound_columns])
 
     def is_complete(self, terms: tuple[int, ...]) -> bool:
-        """Whether every term has what it requires."""
+        """Whether the set has everything that its terms require."""
         labels = {self.view.terms[i].hypothesis for i in terms}
         return all(self.requires[i] <= labels for i in terms)
 
@@ -521,8 +531,10 @@ class _Grams:
         return result
 
     def extensions(self, terms: tuple[int, ...], level: tuple[int, ...]) -> FloatArray:
-        """What each selected term adds to ln of prior times evidence beside a set; −∞ where it
-        cannot stand there. Signs of the set are left as they are: a first estimate."""
+        """Gain in ln of prior times evidence by adding each selected term; −∞ if it is excluded.
+
+        A first estimate, which ignores the sign constraints of the set.
+        """
         gram, right, _ = self.at(level)
         columns = self.columns(terms)
         if columns.size:
@@ -555,7 +567,8 @@ class _Grams:
     def normal(
         self, terms: tuple[int, ...], level: tuple[int, ...]
     ) -> tuple[np.ndarray, FloatArray, FloatArray]:
-        """Columns of a set (those always there last), mean and precision before the signs."""
+        """Columns of a set (those always included last), with mean and precision before sign
+        constraints."""
         gram, right, _ = self.at(level)
         columns = self.columns(terms)
         precision = gram[np.ix_(columns, columns)] + np.eye(columns.size)
@@ -565,12 +578,12 @@ class _Grams:
 def search(
     linearised: Linearised, max_terms: int = 3, probability: Mapping[str, float] = EVEN
 ) -> ModelPosterior:
-    """The posterior over sets of hypotheses, their sizes and what they move.
+    """Compute the posterior over sets of hypotheses, their sizes, and the shift of the parameters.
 
-    ``probability``: of hypotheses that have one of their own beforehand.
+    ``probability``: individual prior probabilities of hypotheses.
 
-    Scales of the discrepancy are taken on a lattice: those that suit the best sets and their
-    neighbours. All pairs are tried, larger sets continued from the best.
+    Scales of the discrepancy are on a lattice; those that suit the best sets, and their neighbours,
+    are used. All pairs are tried, and larger sets are extended from the best.
     """
     grams = _Grams(linearised, probability)
     nowhere = (0,) * len(linearised.scaled)
@@ -586,7 +599,7 @@ def search(
         if level not in levels:
             levels.append(level)
     top = max(pool.values())
-    # At least: of evidence beyond 1e17 nothing is less by twelve.
+    # ``>=``, because a difference of twelve vanishes beside an evidence above 1e17.
     sets = [terms for terms in pool if pool[terms] >= top - KEPT_BELOW]
     sets = sorted(sets, key=lambda terms: -pool[terms])[:MOST_KEPT]
     suits = {level: float(grams.log_posterior(sets[:1], level)[0]) for level in levels}
@@ -652,7 +665,7 @@ def _climb(grams: _Grams, terms: tuple[int, ...], start: tuple[int, ...]) -> tup
 
 
 def _neighbours(grams: _Grams, level: tuple[int, ...]) -> Iterable[tuple[int, ...]]:
-    """Levels beside one: each group alone a step up, down, or absent."""
+    """Neighbouring levels: one group a step or two up, down, or absent."""
     for group, index in enumerate(level):
         steps = {0, index - 1, index + 1, index - 2, index + 2} if index else {1}
         for other in sorted(steps - {index}):
@@ -662,17 +675,17 @@ def _neighbours(grams: _Grams, level: tuple[int, ...]) -> Iterable[tuple[int, ..
 
 @dataclass(frozen=True, eq=False)
 class ModelPosterior:
-    """What :func:`search` says.
+    """Result of :func:`search`.
 
     Attributes
     ----------
     linearised
-        What was searched.
+        The view that was searched.
     models
         Sets at their scales, the most probable first; probabilities sum to one.
     log_evidence
-        ln of the sum of all their priors times evidences, up to a constant of the residual's size
-        and of the prior of u.
+        ln of the sum of all priors times evidences, up to a constant that depends on the residual's
+        size and the prior of u.
     """
 
     linearised: Linearised
@@ -682,7 +695,7 @@ class ModelPosterior:
 
     @property
     def always_gain(self) -> float:
-        """Fall of χ², priors included, by what is always there."""
+        """Reduction of χ², priors included, by the terms always included."""
         base = self._grams.base((0,) * len(self.linearised.scaled))
         return base.squares - base.chi_square
 
@@ -709,34 +722,37 @@ class ModelPosterior:
 
     @cached_property
     def named(self) -> tuple[str, ...]:
-        """Hypotheses of at least the stated probability."""
+        """Hypotheses with a probability of at least ``NAMED_AT``."""
         return tuple(label for label, p in self.inclusion.items() if p >= NAMED_AT)
 
     def probability(self, labels: Iterable[str]) -> float:
-        """That one of some hypotheses is there."""
+        """Probability that at least one of some hypotheses holds."""
         own = set(labels)
         return min(1.0, sum(p for terms, p in self.sets.items() if own & self.labels(terms)))
 
     def likeliest(self, label: str) -> int:
-        """The term of a hypothesis that is most probable."""
+        """Index of the most probable term of a hypothesis."""
         places = [k for k, t in enumerate(self.linearised.terms) if t.hypothesis == label]
         sets = self.sets.items()
         return max(places, key=lambda k: sum(p for terms, p in sets if k in terms))
 
     @cached_property
     def confounded(self) -> tuple[tuple[str, ...], ...]:
-        """Smallest sets of hypotheses, none named, one of which is there almost surely."""
+        """Smallest groups of unnamed hypotheses, one of which holds almost surely."""
         sets = {terms: (self.labels(terms), p) for terms, p in self.sets.items()}
         return confounded(list(sets.values()), self.named)
 
     @property
     def sure(self) -> tuple[tuple[str, ...], ...]:
-        """Hypotheses that are there almost surely, each alone or one of several."""
+        """Named hypotheses, and confounded groups."""
         return (*((label,) for label in self.named), *self.confounded)
 
     def mean_of(self, terms: tuple[int, ...]) -> tuple[list[FloatArray], FloatArray]:
-        """Most probable sizes of each term of a set, in its unit, (k,), and the shift of u with
-        them, (d,); at the scales of the most probable model, where the set has none."""
+        """Most probable sizes of each term of a set in its unit, (k,), and the resulting shift of
+        u, (d,).
+
+        At the set's most probable scales, or at those of the most probable model if it has none.
+        """
         grams = self._grams
         own = (m._level for m in self.models if m.terms == terms)
         level = next(own, self.models[0]._level)
@@ -750,15 +766,18 @@ class ModelPosterior:
         return [p * t.unit for p, t in zip(parts, own_terms, strict=False)], centre[: grams.d]
 
     def single_gains(self) -> dict[int, float]:
-        """ln of prior times evidence that each selected term adds alone, were there no misfit."""
+        """Gain in ln of prior times evidence by each selected term alone, without misfit."""
         grams = self._grams
         added = grams.extensions((), (0,) * len(self.linearised.scaled))
         return dict(zip(grams.selected, added.tolist(), strict=True))
 
     @cached_property
     def sizes(self) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
-        """Of each selected term that a likely model has: the probability of each such model, (m,),
-        and there the mean, (m, k), and covariance, (m, k, k), of its sizes in usual ones."""
+        """Posterior of the sizes of each selected term in a likely model.
+
+        The probability of each such model, (m,), and its mean, (m, k), and covariance, (m, k, k),
+        in usual sizes.
+        """
         parts: dict[int, list[tuple[float, FloatArray, FloatArray]]] = {}
         for model, weight in self._likely().items():
             columns, mean, precision = self._grams.normal(model.terms, model._level)
@@ -778,32 +797,34 @@ class ModelPosterior:
         return by_term
 
     def _likely(self) -> dict[Model, float]:
-        """Models that hold nearly all of the probability, and what each has of theirs."""
+        """Models with nearly all of the probability, and the share of each."""
         held = np.cumsum(np.exp([m.log_posterior for m in self.models]))
         count = 1 + int(np.searchsorted(held, WEIGHED_SHARE * held[-1]))
         return {m: math.exp(m.log_posterior) / held[count - 1] for m in self.models[:count]}
 
     @property
     def excess_chi_square(self) -> float:
-        """Chi-square less its freedom, at the fit of u alone."""
+        """χ² minus its degrees of freedom, at the fit of u alone."""
         return self._grams.excess_chi_square
 
     def discrepancy_sd(self, group: int) -> float:
-        """Prior standard deviation of a group's coefficients, as the caller scaled its columns, in
-        the most probable model that has it; 0 where none has."""
+        """Prior standard deviation of a group's coefficients, as the caller scaled its columns.
+
+        In the most probable model that has the group; 0 if none has.
+        """
         scales = (m.scales[group] for m in self.models if m.scales[group] > 0.0)
         columns = self.linearised.groups[group].columns
         return next(scales, 0.0) * float(self._grams.scale_of_column[columns].max(initial=0.0))
 
     def draw(self, generator: np.random.Generator, n: int) -> Draws:
-        """Sizes, discrepancy and what they move the fitted parameters by, of the average.
+        """Draw sizes, discrepancy and the shift of the fitted parameters, averaged over models.
 
-        Draws of the nonlinear posterior of u without any of it plus this shift are draws of the
-        posterior of everything; for a linear model exactly.
+        Draws of the nonlinear posterior of u alone plus this shift are draws of the full posterior,
+        exactly so for a linear model.
         """
         grams = self._grams
         weights = np.exp([m.log_posterior for m in self.models])
-        # Each has its share of the draws, and randomness of its own: what none has changes nothing.
+        # Each model has its own random stream, so models without draws change nothing.
         ends = np.floor(n * np.cumsum(weights) / weights.sum() + 0.5).astype(int)
         counts = np.diff(ends, prepend=0)
         width = grams.place.size + grams.place_free.size
@@ -844,7 +865,7 @@ class ModelPosterior:
                 noise = own_generator.standard_normal((count, block.shape[0]))
                 sizes[rows, grams.place_free] = centre[:, grams.d :] + noise @ root.T
             inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
-            # Rows that are known less well leave u more open than draws without it are.
+            # Rows with misfit leave u less certain than the draws of u alone have it.
             values, vectors = np.linalg.eigh(inverse_u - grams.inverse_u)
             wider = own_generator.standard_normal((count, grams.d)) * np.sqrt(
                 np.maximum(values, 0.0)
@@ -864,9 +885,9 @@ class ModelPosterior:
 def confounded(
     sets: Sequence[tuple[frozenset[str], float]], named: Iterable[str] = ()
 ) -> tuple[tuple[str, ...], ...]:
-    """Smallest groups of hypotheses, none named, one of which is there almost surely.
+    """Smallest groups of unnamed hypotheses, one of which holds almost surely.
 
-    ``sets``: of hypotheses that are there together, each with its probability.
+    ``sets``: hypotheses that hold together, each set with its probability.
     """
     result: list[tuple[str, ...]] = []
     used = set(named)
@@ -879,7 +900,7 @@ def confounded(
 def _smallest_cover(
     sets: Sequence[tuple[frozenset[str], float]], used: set[str]
 ) -> tuple[str, ...]:
-    """Hypotheses, none of those used, of which the sets hold one almost surely; or none."""
+    """Smallest group of unused hypotheses, one of which is in almost every set; or none."""
     uncovered = [(labels - used, p) for labels, p in sets]
     members: list[str] = []
     while len(members) < CONFOUNDED_MOST and sum(p for _, p in uncovered) > 1.0 - NAMED_AT:
@@ -895,7 +916,7 @@ def _smallest_cover(
 
 
 def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:
-    """Most probable sizes with their signs."""
+    """Most probable sizes with sign constraints."""
     if not right.size:
         return right
     from scipy.optimize import lsq_linear
@@ -918,9 +939,9 @@ def _truncated(
     n: int,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """(n, k) draws of a normal with some amplitudes positive: n chains of Gibbs side by side.
+    """(n, k) draws of a normal vector with some amplitudes positive, by n parallel Gibbs chains.
 
-    ``absent``: prior probability of each that it is 0 (George and McCulloch 1993), (k,).
+    ``absent``: prior probability that each is 0 (George and McCulloch 1993), (k,).
     """
     result, covariance = np.zeros((n, mean.size)), np.linalg.inv(precision)
     bounded, free = np.flatnonzero(positive), np.flatnonzero(~positive)
@@ -936,7 +957,7 @@ def _truncated(
                 z = normal_between(-centre / sd, np.full(n, np.inf), generator.uniform(size=n))
                 x[:, i] = np.maximum(centre + sd * z, 0.0)
                 if absent[bounded[i]] > 0.0:
-                    # Of a half-normal against none, of which the normal has exp(−c²/2s²).
+                    # Odds of a half-normal against zero, where the normal has exp(−c²/2s²).
                     there = math.log(2.0 * sd) + log_ndtr(centre / sd) + 0.5 * (centre / sd) ** 2
                     there -= log_odds(absent[bounded[i]])
                     x[generator.uniform(size=n) > expit(there), i] = 0.0

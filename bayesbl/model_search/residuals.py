@@ -157,7 +157,7 @@ class _Residual:
         self.fit()
 
     def fit(self) -> None:
-        """Fit waves to the non-repeating part, and waves of whole load orders to the full residual."""
+        """Fit waves to the non-repeating part, and waves of whole load orders to all of it."""
         n, rotations = self.values.size, self.rotations
         whole = np.repeat([False, *(c % rotations == 0.0 for c in self.cycles)], 2)[1:]
         apart = self._without_repeating(self.waves[:, ~whole])
