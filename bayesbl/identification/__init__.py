@@ -1,5 +1,5 @@
-"""A joint of one's own: its bench's parameters from recordings, a data sheet as the prior.
+"""Identify the parameters of a joint's bench from recordings, with a data sheet as the prior.
 
-:mod:`identify` finds them, :mod:`next_recording` says what to record next, :mod:`groups` what is
-stored and said, and why something is withheld.
+:mod:`identify` finds the parameters, :mod:`next_recording` suggests a recording, and :mod:`groups`
+makes the stored results, their words and the reasons for withholding.
 """

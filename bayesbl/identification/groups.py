@@ -1,9 +1,8 @@
-"""``summary.json`` of an identification, the groups of ``result.nc``, and why it is withheld.
+"""``summary.json`` of an identification, the groups of ``result.nc``, and reasons for withholding.
 
-``identified``: prior and posterior of the bench's parameters with their joint normal prior for
-what comes later; ``posterior``: draws of everything unknown. The answer in the words of
-``summary.json`` is JSON in the attribute ``identification`` of the root, the bench a bench file in
-``identified_bench``.
+``identified``: prior and posterior of the bench's parameters, with their joint normal prior for
+later use; ``posterior``: draws of all unknowns. The root attribute ``identification`` is the answer
+in the words of ``summary.json``, as JSON. ``identified_bench`` is a bench file.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ from bayesbl.units import in_words
 
 
 class PriorSummary(TypedDict):
-    """The data sheet: its value, and the range within the tolerance."""
+    """Value of the data sheet, and the range within its tolerance."""
 
     value: float
     low: float
@@ -96,7 +95,8 @@ class TogetherSummary(TypedDict):
     """Parameters known together far better than alone: by the ratios of all, or the product of two.
 
     ``alone_sd`` is the largest relative standard deviation of one of them, ``together_sd`` that of
-    their ratios or product."""
+    their ratios or product.
+    """
 
     parameters: list[str]
     told: Literal["ratios", "product"]
@@ -105,7 +105,7 @@ class TogetherSummary(TypedDict):
 
 
 class IdentificationAnswer(TypedDict):
-    """What an identification says; ``gaps`` are null where they are withheld."""
+    """Answer of an identification; ``gaps`` are null where they are withheld."""
 
     verdict: Verdict
     parameters: dict[str, ParameterSummary]
@@ -127,8 +127,8 @@ class IdentificationSummary(Head, IdentificationAnswer):
 
 
 SHARPER = 0.5
-"""Spread of a combination, as a share of that of its sharper member, below which it is reported.
-It chooses words and no number."""
+"""Largest spread of a reported combination, relative to that of its sharper member. It changes
+words, not numbers."""
 
 
 def identification_tree(
@@ -185,9 +185,10 @@ def _identified(result: Identification, problem: Problem, bench: Bench) -> xr.Da
 
 
 def _disagreement(result: Identification, problem: Problem) -> DisagreementTableSummary:
-    """Before: the data sheet's values with gap and start angles fitted.
+    """Disagreement before and after: "before" has the data sheet's values, with gap and start
+    angles fitted.
 
-    What no joint can be is not simulated: ``final``, so that nothing differs from what was found.
+    An implausible data sheet is not simulated: ``final`` replaces it, so the two do not differ.
     """
     own = set(problem.parameters)
     unknowns = [u for u in problem.unknowns if u.name not in own]
@@ -247,8 +248,8 @@ def _answer(
 
 
 def _free_effects(final: Explanation) -> list[str]:
-    """Effects of which something was unknown: friction, what the bench is unsure of, what was
-    found."""
+    """Effects with unknown parameters: friction, uncertain effects of the bench, and named
+    effects."""
     model = final.fit.model
     free = {unknown.name.partition("__")[0] for unknown in model.unknowns}
     return [effect.name for effect in model.bench.effects if effect.name in free]
@@ -283,7 +284,8 @@ def _parameter(
 
 
 def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSummary]:
-    """Groups known by their ratios, each parameter in one of them; pairs by their product.
+    """Groups known by their ratios, each parameter in at most one, and pairs known by their
+    product.
 
     Parameters
     ----------
@@ -325,7 +327,7 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSumm
 
 
 def reason_of(result: Identification) -> str | None:
-    """Why gaps and bench are withheld; ``None`` where they are not."""
+    """Reason for withholding gaps and bench; ``None`` if they are reported."""
     if result.missing and not result.completed:
         return _lacking(result)
     if result.beyond is not None:
@@ -340,7 +342,7 @@ def reason_of(result: Identification) -> str | None:
         )
     if result.posterior.diagnostics.outcome == "withheld":
         return " ".join(flaws_in_words(result.posterior.diagnostics.reasons))
-    # The bench is the answer: a value that its sheet excludes is none, whatever δ makes of it.
+    # The bench is the answer: a value that its data sheet excludes is no answer, even if δ is fine.
     if contradicted := flaws_in_words(result.posterior.contradicted):
         mend = "Correct the data sheet, or widen this tolerance, and identify again."
         return " ".join([*contradicted, mend])
@@ -348,7 +350,7 @@ def reason_of(result: Identification) -> str | None:
 
 
 def misfit_in_words(result: Identification) -> list[str]:
-    """What a user of gaps and bench must know of what nothing explains; empty without it."""
+    """Warning to a user of gaps and bench about unexplained misfit; empty without it."""
     if not result.allows_for_misfit:
         return []
     return [
@@ -368,7 +370,7 @@ def _lacking(result: Identification) -> str:
 
 
 def beyond_in_words(wrong: BeyondDataSheet) -> str:
-    """Which value of the data sheet is wrong, by how much, and what else it could be."""
+    """Which value of the data sheet is wrong, by how much, and which others it could be."""
     text = (
         f"{wrong.name} is {wrong.deviations:.0f} standard deviations outside its data sheet: "
         f"{wrong.found:.4g} by the recordings, not {wrong.believed:.4g} ± {wrong.tolerance:.2g}."
@@ -389,5 +391,5 @@ def left_over(check: Sequence[RepeatingPower]) -> str:
 
 
 def _stands_out(result: Identification) -> bool:
-    """Whether anything still repeats although effects were named."""
+    """Whether anything unexplained repeats although effects were named."""
     return result.completed and not agrees(result.check)

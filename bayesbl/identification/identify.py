@@ -1,15 +1,15 @@
-"""From a data sheet and recordings to the joint posterior of a bench's parameters.
+"""Joint posterior of a bench's parameters, from a data sheet and recordings.
 
-Every parameter that is not known exactly is free within its tolerance, beside the gap and each
-recording's start angle; the match and its posterior are those of the direct route. Hypotheses of
-what the sheet lacks are the effects of the catalogue, a delay of the drive among them, which the
-tolerances would absorb, and each value beyond its tolerance. One posterior over their sets says
-what is there (:mod:`bayesbl.model_search.closed_loop`).
+All parameters that are not known exactly are free within their tolerances, together with the gap
+and each recording's start angle. The fit and its posterior are those of the direct route.
+Hypotheses are the effects of the catalogue, including a delay of the drive, which the tolerances
+would absorb, and a value beyond its tolerance for each parameter. One posterior over their sets
+decides (:mod:`bayesbl.model_search.closed_loop`).
 
-One value of a data sheet may also be wrong by far. A match climbs down from where it starts, and a
-value in kg cm² for kg m² is in another valley. So the factor of each parameter is scanned on its
-own, from the middle of the data sheet. What is left there says little: gravity's current makes
-nearly all of it, and is off by the tolerances of others. Places are ranked by what one step of all
+One value of a data sheet may also be grossly wrong. A fit descends from its start, and a value in
+kg cm² instead of kg m² leads to another local minimum. So each parameter's factor is scanned alone,
+from the middle of the data sheet. The χ² there says little: gravity's current dominates it, and is
+off by the tolerances of other parameters. The points are ranked by the χ² that one step of all
 unknowns, within their ranges, promises to leave.
 """
 
@@ -67,10 +67,10 @@ from bayesbl.sampling.chains import SamplerSettings
 Verdict = Literal["agrees", "missing_effect", "unexplained"]
 
 AFAR = "Seeking a value wrong by far"
-"""Stage of the progress."""
+"""Stage name of the progress."""
 
 DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
-"""Those of the drive: between the motor and the controller, and the recording."""
+"""Delays of the drive, between motor and controller, and of the recording."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +80,12 @@ class Problem:
     Attributes
     ----------
     used, held_out
-        Recordings to fit on, and to predict.
+        Recordings to fit, and to predict.
     parameters
-        Bench parameters that are free, each with a tolerance.
+        Free bench parameters, each with a tolerance.
     effects
-        Free from the start, by name; ``"catalogue"``: those that the recordings name.
+        Effects that are free from the start, by name; ``"catalogue"``: those that the recordings
+        name.
     """
 
     bench: Bench
@@ -116,7 +117,7 @@ class BeyondDataSheet:
     found
         By the recordings.
     deviations
-        From the nearer end of its tolerance to what was found, in standard deviations.
+        Distance of ``found`` from the nearer end of the tolerance, in standard deviations.
     could_be
         Other parameters that would explain the recordings as well, each alone.
     """
@@ -131,19 +132,19 @@ class BeyondDataSheet:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """The recordings fitted.
+    """Fits of the recordings.
 
     Attributes
     ----------
     nominal
-        The data sheet within its tolerances, with the effects asked for; ``final`` where a match
-        with it is far off, and one value beyond its tolerance explains all.
+        The data sheet within its tolerances, with the effects asked for. It is ``final`` if such a
+        fit is far off and one value beyond its tolerance explains everything.
     final
-        With what was found beside it.
+        With the hypotheses found.
     beyond
-        The value of the data sheet that is wrong, if one is.
+        The wrong value of the data sheet, if there is one.
     missing
-        Effects that the bench lacks, by name, each with those it cannot be told from.
+        Names of effects that the bench lacks, each with those indistinguishable from it.
     """
 
     nominal: Explanation
@@ -153,16 +154,16 @@ class Match:
 
     @property
     def completed(self) -> bool:
-        """Whether what was found is in the final bench."""
+        """Whether the final bench includes anything found."""
         return self.final.names != self.nominal.names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification(Match):
-    """What the recordings say.
+    """Result of an identification.
 
-    ``check``: what still repeats; ``allows_for_misfit``: gap and bench include what a law that
-    nothing names may do to them.
+    ``check``: what still repeats; ``allows_for_misfit``: whether gap and bench include the possible
+    effect of an unnamed law.
     """
 
     verdict: Verdict
@@ -177,7 +178,7 @@ def identify(
     seed: np.random.SeedSequence,
     progress: StageProgress | None = None,
 ) -> Identification:
-    """Match, complete where something else explains the recordings, and sample.
+    """Fit the bench, complete it if something else explains the recordings, and sample.
 
     Raises
     ------
@@ -206,11 +207,11 @@ def identify(
 
 
 def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Beside | None]:
-    """The data sheet, completed by what explains the recordings.
+    """Fit the data sheet, completed by what explains the recordings.
 
-    With what stands beside it, misfit included, where a search has weighed that.
+    Also returns the terms linearised at it, misfit included, if a search made them.
     """
-    # A match with a sheet that no joint can be as would take minutes or fail.
+    # A fit with an implausible data sheet would take minutes or fail.
     nominal = _nominal(problem, progress) if is_plausible(problem) else None
     far_off = nominal is None or (may_be_wrong_by_far(problem) and _is_far_off(nominal))
     far = far_beyond_data_sheet(problem, of_stage(progress, AFAR)) if far_off else None
@@ -244,14 +245,14 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
 
 
 def _is_far_off(nominal: Explanation) -> bool:
-    """Whether the match leaves more than noise does. Only the order of two searches rests on it."""
+    """Whether the fit leaves more than noise does. It decides only the order of two searches."""
     return nominal.fit.chi_square > 2.0 * nominal.fit.residual.size
 
 
 def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) -> list[Candidate]:
     """What the data sheet may lack: effects, and each value beyond its tolerance."""
     effects = candidates(nominal.fit.model.bench, problem.used, "all", peaks)
-    # A reference that was sampled has round corners, as by a delay.
+    # A sampled reference has rounded corners, as from a delay.
     moving = all(observation.motion is not None for observation in problem.used)
     hypotheses = [c for c in effects if c.kind == "effect" and not (moving and c.name in DELAYS)]
     for name in problem.parameters:
@@ -263,10 +264,10 @@ def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) 
 
 
 def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
-    """The bench within its tolerances where it can be believed, with the effects asked for by name.
+    """Fit the bench within its tolerances where it is valid, with the effects asked for by name.
 
-    Without standstills to name what is missing: no law of the catalogue holds for friction at rest,
-    and every joint has some.
+    If nothing explains the recordings, standstills are left out to name what is missing: no law of
+    the catalogue describes friction at rest, which every joint has.
     """
     stage = of_stage(progress, "Fitting the bench")
     fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, stage)
@@ -280,7 +281,7 @@ def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
 
 
 def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]) -> Explanation:
-    """Effects asked for by name added one after the other."""
+    """Add the effects asked for by name, one after the other."""
     best = nominal
     asked = candidates(problem.bench, problem.used, problem.effects, peaks)
     for candidate in (c for c in asked if c.kind == "effect"):
@@ -297,7 +298,7 @@ def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]
 def parameter_draws(result: Identification, names: Sequence[str]) -> FloatArray:
     """Draws of the bench's parameters in their units, shape (draw, k).
 
-    Of a parameter that was sought beyond its tolerance, those of the wider range.
+    For a parameter that was sought beyond its tolerance, those of the wider range.
     """
     unknowns = result.final.fit.model.unknowns
     last = {u.name: i for i, u in enumerate(unknowns) if u.recording is None}
@@ -306,9 +307,9 @@ def parameter_draws(result: Identification, names: Sequence[str]) -> FloatArray:
 
 
 def identified_bench(result: Identification, problem: Problem) -> Bench:
-    """The bench with what was found; parameters above zero have a joint normal prior of logarithms.
+    """The bench with everything found; positive parameters have a joint normal prior of logarithms.
 
-    The tolerance of each alone is that of a uniform prior of the same standard deviation.
+    The tolerance of each parameter is that of a uniform prior with the same standard deviation.
     """
     bench = augmented_bench(result.final)
     draws = parameter_draws(result, problem.parameters)
@@ -329,28 +330,28 @@ def identified_bench(result: Identification, problem: Problem) -> Bench:
 KG_CM2_PER_KG_M2 = 1e4
 
 STEP = math.sqrt(10.0)
-"""Between two factors scanned: two in a decade. The promise falls over more than that to either
-side of the true value. At one in a decade a stiffness between two places was not found."""
+"""Ratio of scanned factors: two in a decade. The promise falls over more than that to either side
+of the true value. With one in a decade, a stiffness between two points was not found."""
 
 REACH = STEP**2
-"""Factor, up or down, that a fit may go: to the next place but one. Without an end, fits of what is
-not wrong ran off to where a joint takes minutes to simulate."""
+"""Largest factor of a fit, up or down: to the next point but one. Without a limit, fits of correct
+parameters ran off to where a joint takes minutes to simulate."""
 
 SD_DRAWS = 4000
-"""A standard deviation is then good to 1 %."""
+"""A standard deviation is then exact to 1 %."""
 
 FASTEST_PER_S = 5e3
-"""Rate of a speed loop or shaft (800 Hz) beyond which a place is not scanned: those of joints reach
-some hundred Hz, and what is faster takes as much longer to simulate. A data sheet beyond it is
-searched from afar first, and matched as any other where that finds nothing."""
+"""Rate of a speed loop or shaft (800 Hz) beyond which a point is not scanned. Real joints reach
+some hundred Hz, and the simulation time grows with the rate. A data sheet beyond it is first
+searched for a gross error, and fitted like any other if there is none."""
 
 
 def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Match | None:
-    """One value beyond its tolerance that explains all, wherever in its whole range it lies.
+    """Find one value beyond its tolerance that explains everything, over its whole range.
 
-    Each parameter is fitted roughly from its best place, the others within their tolerances; of all
-    that contend, as a promise is off by as much as signals bend. ``progress``: called with (places
-    scanned, places in all).
+    Each parameter is fitted roughly from its best point, the others within their tolerances. All
+    contenders are fitted, because promises are inexact where signals are nonlinear. ``progress``:
+    called with (points scanned, points in all).
     """
     model = _nothing_fitted(problem)
     places = _places(problem)
@@ -382,7 +383,7 @@ def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Matc
 
 
 def _is_outside(explanation: Explanation, problem: Problem) -> bool:
-    """Whether the parameter freed last is beyond its tolerance."""
+    """Whether the last freed parameter is beyond its tolerance."""
     name = explanation.candidates[-1].name
     value = float(explanation.fit.model.unknowns[-1].value(explanation.fit.point[-1]))
     return abs(value - problem.bench.value(name)) > problem.bench.tolerances[name]
@@ -402,7 +403,7 @@ def _beyond(
 
 
 def freed(name: str, value: float) -> Candidate:
-    """A parameter on its own, sought about a value."""
+    """A parameter as a candidate, sought around a value."""
     at, reach = math.log(value), math.log(REACH)
     unknown = Unknown(name, at - reach, at + reach, logarithmic=True)
     usual = np.array([math.log(STEP)])
@@ -410,16 +411,16 @@ def freed(name: str, value: float) -> Candidate:
 
 
 def is_plausible(problem: Problem) -> bool:
-    """Whether a joint can be as on the data sheet: few that are wrong by a unit pass for one."""
+    """Whether a joint can be as on the data sheet; few data sheets with a wrong unit pass."""
     model = _nothing_fitted(problem)
     return _can_be(model, _middle(model))
 
 
 def may_be_wrong_by_far(problem: Problem) -> bool:
-    """Whether a value that is wrong by far is sought before effects.
+    """Whether a gross error is sought before missing effects.
 
-    Recordings of motions take so long to scan that all else is sought first; so are effects that
-    are asked for.
+    Scans of motions take long, so everything else is sought first; so are effects that are asked
+    for.
     """
     asked = problem.effects not in ("catalogue", ())
     return not asked and all(observation.motion is None for observation in problem.used)
@@ -448,8 +449,11 @@ def _places(problem: Problem) -> list[Candidate]:
 
 
 def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, FloatArray]:
-    """χ² beyond noise that is promised with one parameter near a value, its unknown last, and the
-    best gap and start angles there; infinite if it cannot be."""
+    """Promised χ² beyond noise with one parameter near a value, and the best gap and start angles
+    there.
+
+    The parameter is the last unknown. Infinite if the bench is implausible.
+    """
     beside = extended(model, candidate)
     at = float(candidate.neutral[0])
     point = np.append(_middle(model), at)
@@ -463,9 +467,9 @@ def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, Flo
 
 
 def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:
-    """Whether its drive lifts its load, its loop forgets in time, and nothing is too fast.
+    """Whether the drive lifts the load, the loop forgets in time, and nothing is too fast.
 
-    In a rotation, or a motion's recording: what does not forget would not repeat.
+    In time means within a rotation, or a motion's recording: otherwise rotations would not repeat.
     """
     row = model.vectors(point[None], model.recordings[0])[0]
     lasting_s = max(
@@ -482,7 +486,7 @@ def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:
 
 
 def _fastest_per_s(row: FloatArray) -> float:
-    """K_p/J_m, and of the shaft D_s/J and √(K_s/J) with 1/J = 1/J_l + 1/(r² J_m), the largest."""
+    """The largest of K_p/J_m, D_s/J and √(K_s/J) of the shaft, with 1/J = 1/J_l + 1/(r² J_m)."""
     motor, ratio = row[Slot.motor_inertia_kg_m2], row[Slot.gear_ratio]
     shaft = 1.0 / row[Slot.load_inertia_kg_m2] + 1.0 / (ratio**2 * motor)
     loop = row[Slot.speed_gain_nm_s_per_rad] / motor

@@ -1,4 +1,4 @@
-"""Which recording would tell most about what these leave open."""
+"""Suggest the recording that would reduce the remaining uncertainty most."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, Simulate
 from bayesbl.recording.types import FloatArray
 
 NEAR_LIMIT = 0.95
-"""Share of the drive's largest current that a suggested recording may take."""
+"""Largest share of the current limit that a suggested recording may take."""
 
 
 OF_ITS_START = (START_ANGLE, REFERENCE_DELAY)
-"""What is a further recording's own."""
+"""Unknowns that each further recording has of its own."""
 
 PACES = (1.0, 0.6, 0.3)
-"""Of a recorded motion: none is asked for that is faster than the joint has shown."""
+"""Relative speeds of a recorded motion: none is faster than the joint has shown."""
 
 
 class NextRecordingSummary(TypedDict):
@@ -42,11 +42,12 @@ class NextRecordingSummary(TypedDict):
 
 
 def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:
-    """The one of some that is expected to tell most; ``None`` if the joint can run none.
+    """Suggest the most informative of some recordings; ``None`` if the joint can run none.
 
-    Some speeds in both directions; of a joint that has shown motions alone, these at some paces.
-    With S the covariance of what recordings share and J the whitened derivatives of a further one,
-    its own start free, S⁻¹ grows by Jᵀ(1 − P)J, P the projection on the derivatives by that start.
+    The options are some speeds in both directions, or if all recordings are motions, these at some
+    paces. With S the covariance of the shared unknowns and J the whitened Jacobian of a further
+    recording with its own start free, S⁻¹ grows by Jᵀ(1 − P)J, P the projection on the derivatives
+    by that start.
     """
     shared = [i for i, u in enumerate(fit.model.unknowns) if _is_shared(u, fit)]
     before = fit.covariance[np.ix_(shared, shared)]
@@ -62,13 +63,14 @@ def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:
 
 
 def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
-    """The gap counts as that of the last recording, where each has its own."""
+    """Whether a further recording shares the unknown; of separate gaps, that of the last
+    recording."""
     last = fit.model.recordings[-1].name
     return unknown.recording is None or (unknown.name == GAP and unknown.recording == last)
 
 
 def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
-    """One rotation at each speed, in the place of the last recording."""
+    """One rotation at each speed, with the index of the last recording."""
     top = max(abs(observation.reference_speed_rpm) for observation in model.recordings)
     place = len(model.recordings) - 1
     last = model.recordings[place]
@@ -91,7 +93,7 @@ def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
 
 
 def _motions(recordings: Sequence[Observed]) -> Iterator[tuple[Observed, int]]:
-    """Each recorded motion at each pace, in the place of its recording."""
+    """Each recorded motion at each pace, with the index of its recording."""
     for place, observation in enumerate(recordings):
         assert observation.motion is not None
         begun = np.arange(observation.samples) < observation.first_compared
@@ -127,9 +129,10 @@ def _judged(
 def _information(
     fit: SimulatedFit, shared: Sequence[int], observation: Observed, place: int
 ) -> FloatArray | None:
-    """Of one rotation, times their number, or of a motion; ``None`` where the drive cannot follow.
+    """Information of one rotation times their number, or of a motion; ``None`` if the drive cannot
+    follow.
 
-    Its start angle, and phases of effects, are those of the recording in that place.
+    Start angle and phases of effects are those of the recording at that index.
     """
     model = fit.model
     own = model.places_in(place)

@@ -1,6 +1,7 @@
-"""Where a recording starts and roughly how large the gap is, from the recording alone.
+"""Find where a recording starts and roughly how large the gap is, from the recording alone.
 
-Motions are matched where the bench can be believed: without standstills, or with a reference held.
+Motions are fitted under the assumptions that the bench satisfies: without standstills, or with a
+held reference.
 """
 
 from __future__ import annotations
@@ -36,14 +37,15 @@ from bayesbl.recording.types import FloatArray
 GAPS_TRIED = 36
 LOAD_FRICTION = ("load_viscous_friction", "load_coulomb_friction")
 FRICTIONS_TRIED = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
-"""In usual sizes; beyond, one joint in eighty."""
+"""Friction in usual sizes; one joint in eighty has more."""
 SHIFTS_TRIED = 4
-"""Of what was learned, in a period of its highest order."""
+"""Shifts of a learned term per period of its highest order."""
 POINTS_AT_ONCE = 64
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 FORGOTTEN = 0.01
-"""χ² below which a start is forgotten: 0.1 standard deviations of anything at most."""
+"""χ² below which the start is forgotten: a shift of at most 0.1 standard deviations in any
+direction."""
 
 
 def fit_aligned(
@@ -53,11 +55,11 @@ def fit_aligned(
     workers: int = 1,
     progress: Progress = silent,
 ) -> SimulatedFit:
-    """The most probable point of all unknowns, from the recordings alone.
+    """Find the most probable point of all unknowns, from the recordings alone.
 
-    The gap is scanned, and the load's friction where it is unknown; for each the recordings,
-    averaged over rotations, are shifted against the simulation by correlation; the best few are
-    fitted, and the noise is estimated again from the residuals. ``progress``: called with (fits
+    The gap is scanned, and the load's friction if it is unknown. For each value, the recordings,
+    averaged over rotations, are shifted against the simulation by correlation. The best few points
+    are fitted, and the noise is estimated again from the residuals. ``progress``: called with (fits
     made, fits expected).
     """
     noise = [noise_of(observation, observation.signals) for observation in recordings]
@@ -75,8 +77,11 @@ def fit_aligned(
 
 
 def _load_friction(model: SimulatedSignals) -> dict[int, FloatArray]:
-    """Values of the load's friction to scan, by place: it shifts the flank changes of one rotation
-    against one another, by half a period of the ringing in many joints, where a fit sticks."""
+    """Values of the load's friction to scan, by index of the unknown.
+
+    Friction shifts the flank changes of one rotation against one another, in many joints by half a
+    ringing period, where a fit gets stuck.
+    """
     for place, unknown in enumerate(model.unknowns):
         effect = unknown.name.partition("__")[0]
         if effect in LOAD_FRICTION and unknown.low == unknown.centre and unknown.recording is None:
@@ -85,7 +90,7 @@ def _load_friction(model: SimulatedSignals) -> dict[int, FloatArray]:
 
 
 def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
-    """The fit of a model from where another one ended, the noise estimated again from it, twice."""
+    """Refit a model from the optimum of another fit, estimating the noise again twice."""
     best = replace(fit, model=model)
     for _ in range(NOISE_ROUNDS):
         model = replace(model, noise=remaining_noise(best))
@@ -94,7 +99,7 @@ def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
 
 
 def _forgetful(fit: SimulatedFit, index: int) -> Observed:
-    """A recording without the part of it that remembers on which flank the teeth began."""
+    """A recording without the part that depends on the initial tooth flank."""
     observation = fit.model.recordings[index]
     if observation.motion is None:
         return observation
@@ -103,7 +108,7 @@ def _forgetful(fit: SimulatedFit, index: int) -> Observed:
 
 
 def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
-    """Noise of each recording from rotation differences of the fit's residuals."""
+    """Noise of each recording, from rotation differences of the fit's residuals."""
     return [
         noise_of(observation, fit.unexplained(i))
         for i, observation in enumerate(fit.model.recordings)
@@ -115,19 +120,18 @@ def aligned_starts(
     grids: Mapping[int, FloatArray] | None = None,
     gaps_tried: int = GAPS_TRIED,
 ) -> list[FloatArray]:
-    """Points to fit from, best first: gaps by scan, start angles by correlation.
+    """Starting points for fits, best first: gaps by scan, start angles by correlation.
 
-    Each start has other values of what is scanned besides the gap; where there are too few of
-    them, other gaps, and of recordings with a gap of their own the best of each, the second best
-    of each, …
+    Each start has other values of what is scanned besides the gap. If these are too few, starts
+    have other gaps: the best of each recording with its own gap, then the second best of each, …
 
     Parameters
     ----------
     grids
-        Coordinates to scan besides the gap, by index in a point; all combinations are tried.
-        Other unknowns start at their prior's centre, or the middle of their range.
+        Coordinates to scan besides the gap, by index in a point; all combinations are tried. Other
+        unknowns start at their prior's centre, or the middle of their range.
     gaps_tried
-        Over the gap's range.
+        Number of gaps over the range.
     """
     points = _combinations(np.array([u.middle for u in model.unknowns]), grids or {})
     starts = np.repeat(points[:, None], STARTS_FITTED, axis=1)
@@ -160,7 +164,8 @@ def aligned_starts(
 
 
 def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
-    """The point with what was learned where each recording shows it, by a scan of its period."""
+    """The point with each learned term shifted to fit each recording best, by a scan of its
+    period."""
     start = start.copy()
     terms = model.bench.learned_terms
     for (i, observation), term in itertools.product(enumerate(model.recordings), terms):
@@ -178,9 +183,9 @@ def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
 
 
 def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[FloatArray]:
-    """The starts, with every motion's own unknowns where it alone is fitted best from any of them.
+    """The starts, with the own unknowns of every motion from its best separate fit.
 
-    A motion has more valleys than a rotation, and the best of one recording is not that of another.
+    A motion has more local minima than a rotation, and these differ between recordings.
     """
     settled = [start.copy() for start in starts]
     for i, observation in enumerate(model.recordings):
@@ -221,7 +226,7 @@ def _combinations(start: FloatArray, scanned: Mapping[int, FloatArray]) -> Float
 
 
 def _best_apart(cost: FloatArray) -> NDArray[np.int64]:
-    """Indices of the lowest costs, no two adjacent; repeated where there are too few."""
+    """Indices of the lowest costs, no two adjacent; repeated if there are too few."""
     chosen: list[int] = []
     for k in map(int, np.argsort(cost, kind="stable")):
         if all(abs(k - c) > 1 for c in chosen):
@@ -232,7 +237,7 @@ def _best_apart(cost: FloatArray) -> NDArray[np.int64]:
 
 
 def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
-    """The same angles, within half a turn of where a prior expects them."""
+    """The same angles, within half a turn of the prior's centre."""
     if not math.isfinite(unknown.sd):
         return angles
     turn = 2.0 * math.pi
@@ -242,12 +247,12 @@ def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
 def _aligned(
     model: SimulatedSignals, points: FloatArray, members: Sequence[int]
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Best start angle at each point, shape (m,), and χ² left there, shape (m,), by recording."""
+    """Best start angle and χ² at each point, shape (m,) each, by recording."""
     by_member = {
         i: start_angles(model, points, i) for i in members if model.recordings[i].motion is not None
     }
     steady = [i for i in members if i not in by_member]
-    # Piece by piece, so that recordings at one speed find each other's simulations still kept.
+    # In pieces, so that recordings at one speed find each other's simulations in the cache.
     pieces = np.array_split(points, math.ceil(len(points) / POINTS_AT_ONCE))
     aligned = [[_align(model, piece, i) for i in steady] for piece in pieces]
     for i, parts in zip(steady, zip(*aligned, strict=True), strict=True):
@@ -257,7 +262,7 @@ def _aligned(
 
 
 def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
-    """Best start angle of a steady rotation at each point and χ² left there, shape (m, 2).
+    """Best start angle of a steady rotation and χ² at each point, shape (m, 2).
 
     Means are subtracted: an offset of a channel says nothing about the phase.
     """
@@ -293,13 +298,13 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
 def _rotations(
     model: SimulatedSignals, channels: int, size: int, rate: float, matrix: FloatArray
 ) -> FloatArray:
-    """A rotation of each bench, shape (m, c, size); nan where a run fails."""
+    """One rotation of each bench, shape (m, c, size); nan if a run fails."""
     simulated = simulate_channels(matrix, size, rate, workers=model.workers, failures="nan")
     return simulated[:, [SPEED, CURRENT][:channels]]
 
 
 def _folded(observation: Observed) -> FloatArray:
-    """Channels averaged over the whole rotations, shape (c, lag)."""
+    """Channels averaged over whole rotations, shape (c, lag)."""
     whole = int(
         (observation.samples - 1) / (observation.rotation_period_s * observation.sampling_hz)
     )
@@ -311,10 +316,10 @@ def _folded(observation: Observed) -> FloatArray:
 
 
 def believed(fit: SimulatedFit) -> SimulatedFit:
-    """The fit, or the first of three others of its motions that the check passes where it does not.
+    """The fit, or if it fails the check, the first of three variants for motions that passes.
 
-    A digital drive holds its reference from sample to sample; and what friction does at a
-    standstill is not what it does in motion.
+    A digital drive holds its reference from sample to sample, and friction at a standstill differs
+    from that in motion.
     """
     if is_explained(fit) or not _moves(fit):
         return fit
@@ -325,7 +330,7 @@ def believed(fit: SimulatedFit) -> SimulatedFit:
 
 
 def _others(fit: SimulatedFit) -> Iterator[SimulatedFit]:
-    """Without standstills, with a held reference, and both."""
+    """Variants of the fit: without standstills, with a held reference, and both."""
     moving = in_motion(fit)
     if moving is not None:
         yield moving
@@ -335,7 +340,8 @@ def _others(fit: SimulatedFit) -> Iterator[SimulatedFit]:
 
 
 def in_motion(fit: SimulatedFit) -> SimulatedFit | None:
-    """The fit without its motions' standstills; ``None`` where that leaves too little or all."""
+    """The fit without its motions' standstills; ``None`` if there are none, or too little is
+    left."""
     moving = [
         without_standstill(observation, fit.model.bench) for observation in fit.model.recordings
     ]
@@ -348,7 +354,7 @@ def in_motion(fit: SimulatedFit) -> SimulatedFit | None:
 
 def _held(fit: SimulatedFit) -> SimulatedFit:
     model = fit.model
-    # The steps of a held reference fall on samples: nothing is late there.
+    # A held reference steps at samples, so it has no delay.
     kept = [k for k, u in enumerate(model.unknowns) if u.name != REFERENCE_DELAY]
     held = replace(
         model,
@@ -363,5 +369,5 @@ def _moves(fit: SimulatedFit) -> bool:
 
 
 def _compared(recordings: Sequence[Observed]) -> int:
-    """Samples that are compared, of all recordings."""
+    """Number of compared samples of all recordings."""
     return sum(int(observation.compared.sum()) for observation in recordings)

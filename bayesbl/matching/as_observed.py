@@ -1,7 +1,7 @@
-"""A recording's benches simulated as that recording shows them: its channels, rate and motion.
+"""Simulate benches as a recording shows them: its channels, sampling rate and motion.
 
-Recent simulations are kept: fits of many candidates start at one point, and each would simulate the
-nominal bench around it.
+Recent simulations are cached, because fits of many candidates start at one point and would all
+simulate the nominal bench around it.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 
 ACCURACY_SHARE = 0.003
-"""Largest error of a simulated speed as a share of the speed noise."""
+"""Largest error of a simulated speed, relative to the speed noise."""
 FINEST = 0.01
-"""Of the usual accuracy: what noise that is hardly there may ask for."""
+"""Finest accuracy for tiny noise, relative to the usual accuracy."""
 
 ENCODER_ROUNDS = 2
-"""An eccentric encoder of 20 mrad is then off by 0.1 mrad, after one round by 8 mrad."""
+"""After two rounds an eccentric encoder of 20 mrad is off by 0.1 mrad; after one, by 8 mrad."""
 
 
 class _Rest(TypedDict):
-    """What every simulator takes besides parameters and samples."""
+    """Arguments of every simulator besides parameters and samples."""
 
     accuracy_rpm: float
     workers: int
@@ -40,7 +40,7 @@ class _Rest(TypedDict):
 
 
 def accuracy_rpm(noise: ChannelNoise, observation: Observed) -> float:
-    """How near its simulations have to be to a recording of this noise."""
+    """Required accuracy of simulations for a recording with this noise."""
     coarsest = ACCURACY * abs(observation.reference_speed_rpm)
     return float(np.clip(ACCURACY_SHARE * noise.sd[0], FINEST * coarsest, coarsest))
 
@@ -74,9 +74,10 @@ def simulated(
 def _within_a_rotation(
     matrix: FloatArray, samples: int, sampling_hz: float
 ) -> tuple[FloatArray | None, NDArray[np.int64] | None]:
-    """Times of samples taken back into the first rotation, ascending, and where each is there.
+    """Sample times folded into the first rotation, ascending, and the index of each sample there.
 
-    ``None`` where the benches (m, SLOTS) do not repeat, or not together, or the samples end before.
+    ``None`` if the benches (m, SLOTS) do not repeat, or not with one period, or if the samples end
+    before.
     """
     turn_s, times = _common_rotation_s(matrix), np.arange(samples) / sampling_hz
     if turn_s is None or times[-1] <= turn_s:
@@ -89,17 +90,17 @@ def _within_a_rotation(
 
 
 def _common_rotation_s(matrix: FloatArray) -> float | None:
-    """Time after which all of these benches (m, SLOTS) repeat; ``None`` where one does not."""
+    """Common period of these benches (m, SLOTS); ``None`` if one does not repeat."""
     turns_s = rotation_period_s(matrix)
     repeat = np.all(turns_s == turns_s[0]) and repeat_each_rotation(matrix)
     return float(turns_s[0]) if repeat else None
 
 
 def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
-    """The benches (m, SLOTS), each turned until its encoder starts at this angle.
+    """The benches (m, SLOTS), each turned so that its encoder starts at this angle.
 
-    A bench's own start angle of the motor is that of a relaxed shaft. The encoder also shows twist,
-    gap and its own error: half a radian of the motor, and something else on the other tooth flank.
+    The motor's start angle of a bench is that of a relaxed shaft. The encoder also shows twist, gap
+    and its own error: half a radian of the motor, and another value on the other tooth flank.
     """
     if not turn_with_the_motor(matrix):
         return matrix
@@ -114,17 +115,18 @@ def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> Float
 
 
 def continued(begun: FloatArray, samples: int) -> FloatArray:
-    """A stretch that repeats, continued to so many samples: (m, c, k) to (m, c, samples)."""
+    """Continue a repeating stretch to this many samples: (m, c, k) to (m, c, samples)."""
     if begun.shape[2] == samples:
         return begun
     return begun[:, :, np.arange(samples) % begun.shape[2]]
 
 
 def in_whole_ticks(matrix: FloatArray, observation: Observed) -> FloatArray:
-    """Sampled controllers with a whole number of ticks a rotation, so that it repeats.
+    """Adjust sampled controllers to a whole number of ticks per rotation, so that rotations repeat.
 
-    The period changes by less than its share of two rotations, far below what recordings tell. One
-    that is a whole number of samples stays: there each sample is of a tick.
+    The relative change of the period is less than its share of two rotations, far below what
+    recordings show. A period that is a whole number of samples stays: then each sample is at a
+    tick.
     """
     period = matrix[:, Slot.sampled_control__period_s]
     samples = period * observation.sampling_hz
@@ -138,7 +140,8 @@ def in_whole_ticks(matrix: FloatArray, observation: Observed) -> FloatArray:
 
 
 def repeats(matrix: FloatArray, observation: Observed) -> bool:
-    """Whether these benches repeat after a whole number of samples, less than the recording has."""
+    """Whether these benches repeat after a whole number of samples, fewer than the recording
+    has."""
     if observation.motion is not None or observation.lag >= observation.samples:
         return False
     turn_s = _common_rotation_s(matrix)
@@ -149,7 +152,7 @@ MOST_BYTES = 32_000_000
 
 
 class RecentSimulations:
-    """Signals by their parameters; the oldest are forgotten. Safe between threads."""
+    """Cache of signals by parameters, which drops the oldest. Thread-safe."""
 
     def __init__(self) -> None:
         self._bytes = 0
@@ -169,15 +172,15 @@ class RecentSimulations:
         settings
             Everything else that the signals depend on.
         simulate
-            Makes the signals of the rows that are not known.
+            Makes the signals of the rows that are not cached.
         """
         keys = [(settings, row.tobytes()) for row in matrix]
         with self._lock:
             known = {key: self._kept[key] for key in keys if key in self._kept}
-        # Points often differ only in the unknowns of other recordings: each once.
+        # Points often differ only in unknowns of other recordings: simulate duplicates once.
         missing = {key: row for key, row in zip(keys, matrix, strict=True) if key not in known}
         if missing:
-            # What is missing may be made with this cache, which forgets some meanwhile.
+            # Simulating may use this cache too, and drop entries; ``known`` keeps them.
             known |= zip(missing, simulate(np.stack([*missing.values()])), strict=True)
         with self._lock:
             for key, signals in known.items():

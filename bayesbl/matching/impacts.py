@@ -1,18 +1,18 @@
-"""Impacts that are not alike in all rotations, and what that does to the gap.
+"""Scatter of impacts between rotations, and its effect on the gap.
 
-A recorder's noise is the same at an impact and between two. Noise that goes round in the speed loop
-moves the motor, so the load meets a flank a little earlier or harder than the last time, and other
-axes do as much: each impact then has a best gap of its own. Two things follow.
+A recorder's noise is the same at an impact and elsewhere. Noise fed back by the speed loop moves
+the motor, so the load meets a flank a little earlier or harder than the last time; other axes have
+the same effect. So each impact has its own best gap, with two consequences.
 
-The impacts' scores scatter by v times what the noise of the channels leaves them
-(:mod:`bayesbl.noise.impact_scatter`). What v is to be expected is simulated
-(:mod:`bayesbl.matching.loop_noise`). The draws are then those of a recording whose noise has v
-times its variance: with P of the priors and r the residual at the fit, their precision is P + JᵀJ/v
-in place of P + JᵀJ, and they move by −(P + JᵀJ/v)⁻¹ (1 − 1/v) Jᵀr. So what a prior knows stays as
-sharp as it is, and nothing is less sharp than its prior.
+First, the impacts' scores scatter by v times what the noise of the channels implies
+(:mod:`bayesbl.noise.impact_scatter`). The expected v is simulated
+(:mod:`bayesbl.matching.loop_noise`). The draws become those of a recording with v times the noise
+variance. With P the prior's precision and r the residual at the fit, their precision becomes P +
+JᵀJ/v instead of P + JᵀJ, and they move by −(P + JᵀJ/v)⁻¹ (1 − 1/v) Jᵀr. So the prior's information
+stays sharp, and nothing becomes wider than its prior.
 
-And the mean rotation has the ringing of none of them: it is smeared, by however many they are. How
-far that moves the fit is simulated, and each draw is moved back.
+Second, the mean rotation is smeared: its ringing is that of no single impact. The resulting shift
+of the fit is simulated, and each draw is corrected for it.
 """
 
 from __future__ import annotations
@@ -29,33 +29,33 @@ from bayesbl.noise.impact_scatter import Scatter, early_and_late
 from bayesbl.recording.types import FloatArray
 
 IMPACTS_ABOVE = 8
-"""Load order above which the ringing is: slower parts of the derivative are gravity's."""
+"""Load order above which the derivative shows ringing; slower parts come from gravity."""
 
 BETWEEN_IMPACTS = 8
-"""Share of a rotation that is quiet between two impacts, one over it."""
+"""Inverse share of a rotation that is quiet between two impacts."""
 
 FACTORS = 400
-"""Likely values of v."""
+"""Number of likely values of v."""
 
 
 @dataclass(frozen=True, slots=True)
 class Impacts:
-    """One recording by its impacts: both halves of each rotation, or of each cycle of a motion.
+    """The impacts of one recording: both halves of each rotation, or of each cycle of a motion.
 
     A half begins where the gap's score is quietest.
 
     Attributes
     ----------
     place
-        Of the recording.
+        Index of the recording.
     derivatives
-        Of its whitened signals by the unknowns, J, shape (n, d).
+        Jacobian J of its whitened signals, shape (n, d).
     scatter
-        Of the scores of its gap.
+        Scatter of its gap scores.
     factors
-        v, as likely each, shape (k,).
+        Equally likely values of v, shape (k,).
     late
-        Mean square of what its impacts are early and late, one for each factor, rad², shape (k,).
+        Mean square timing deviation of its impacts for each factor, rad², shape (k,).
     """
 
     place: int
@@ -66,10 +66,10 @@ class Impacts:
 
 
 def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
-    """Of each recording; ``covariance``: C, (d, d)."""
+    """Impacts of each recording; ``covariance``: C, (d, d)."""
     model, derivatives = fit.model, fit.derivatives()
     whole = derivatives.T @ derivatives
-    # Of residuals beside the fit, as it is seen through the scores.
+    # Covariance that the fit removes from residuals, as seen by the scores.
     hidden = 2.0 * covariance - covariance @ whole @ covariance
     rows = [model.by_recording(row) for row in (fit.residual, *derivatives.T)]
     impacts = []
@@ -87,10 +87,11 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
             slopes: FloatArray = slopes,
             halves: FloatArray = halves,
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Of impacts, (g,), their covariance by the recorder's noise, and their halves."""
+            """Scores of impacts, (g,), their covariance by the recorder's noise, and their
+            halves."""
             own = weights[:, None] * halves
             power = np.sum(own**2, axis=2)
-            # An impact that was lost says nothing.
+            # A lost impact says nothing.
             kept = power > 0.5 * np.median(power, axis=0)
             kinds = np.broadcast_to(np.arange(2.0), power.shape)
             by_unknown = np.einsum("rhm,rmd->rhd", own, slopes)[kept]
@@ -115,14 +116,14 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
 def scattered(
     fit: SimulatedFit, draws: FloatArray, covariance: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Draws, shape (m, d), with what impacts scatter by beyond the recorder's noise.
+    """Add the scatter of impacts beyond the recorder's noise to draws, shape (m, d).
 
     ``covariance``: C, (d, d), of the draws.
     """
     every = by_impact(fit, covariance)
     cases = rng.integers(FACTORS, size=(len(every), len(draws)))
     shares = [1.0 / impacts.factors[case] for impacts, case in zip(every, cases, strict=True)]
-    # In units in which all variances are near one.
+    # Scaled so that all variances are near one.
     unit = np.sqrt(np.diag(covariance))
     known = fit.model.prior_precision() * np.outer(unit, unit)
     by_noise = np.repeat(known[None], len(draws), axis=0)
@@ -145,10 +146,10 @@ def scattered(
 
 
 def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
-    """By how much the point is wrong for each rad² of impacts that come early and late, (d,).
+    """Error of the point per rad² of timing scatter, (d,).
 
-    The mean of two simulations, √ of the mean square to either side, less the one between is what
-    smeared ringing lacks. Zero where one of the two cannot be simulated.
+    Two simulations are shifted to either side by the root mean square. Their mean minus the
+    unshifted simulation is what smeared ringing lacks. Zero if one of them cannot be simulated.
     """
     model, square = fit.model, float(impacts.late.mean())
     angle = model.place_of(START_ANGLE, model.recordings[impacts.place].name)
@@ -163,14 +164,14 @@ def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
 
 
 def _fast(slopes: FloatArray, channels: int) -> FloatArray:
-    """Of rotations, (r, c lag), what of their mean is above load order ``IMPACTS_ABOVE``."""
+    """Part of the mean of rotations, (r, c lag), above load order ``IMPACTS_ABOVE``."""
     spectrum = np.fft.rfft(slopes.reshape(len(slopes), channels, -1))
     spectrum[..., : IMPACTS_ABOVE + 1] = 0.0
     return np.fft.irfft(spectrum, slopes.shape[1] // channels).reshape(slopes.shape)
 
 
 def _halves(along: FloatArray, channels: int) -> FloatArray:
-    """1 in the first and in the second half of a rotation of channels, (2, c lag), else 0."""
+    """Indicators of the two halves of a rotation of channels, (2, c lag)."""
     power = np.sum(along.reshape(-1, along.shape[1] // channels) ** 2, axis=0)
     half, window = power.size // 2, max(power.size // BETWEEN_IMPACTS, 1)
     around = np.convolve(np.tile(power, 2), np.ones(window), "valid")

@@ -1,4 +1,4 @@
-"""Least squares of whitened residuals between recordings and their simulation."""
+"""Least-squares fit of a simulation to recordings, by whitened residuals."""
 
 from __future__ import annotations
 
@@ -12,44 +12,45 @@ from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.recording.types import FloatArray
 
 IDLE = 1e-100
-"""Root of a curvature below which nothing depends on a coordinate: no unit is that large."""
+"""Root of a curvature below which nothing depends on a coordinate, whatever its unit."""
 
 STEP_CHANGE = 4.0
-"""Change of the whitened signals, in standard deviations, that derivatives are taken over."""
+"""Change of the whitened signals over a derivative's step, in standard deviations."""
 LONGEST_STEP = 0.25 * math.sqrt(12.0)
-"""Of derivatives, in standard deviations of a prior: a quarter of the range of a flat one."""
+"""Longest step of a derivative, in prior standard deviations: a quarter of a flat prior's range."""
 MOST_ROUNDS = 30
 CONVERGED = 0.01
 CONVERGED_SHARE = 1e-4
-"""Rounds end when one lowers χ² by less than this, or by this share of its excess over noise."""
+"""Iterations end when one lowers χ² by less than this, or by this share of its excess over
+noise."""
 KEPT_PROMISE = 0.8
-"""Share of the promised gain above which the derivatives of a round serve for the next one too."""
+"""Share of the promised gain above which a Jacobian serves for the next iteration too."""
 RANKING_STEP = 20.0
-"""Of derivatives that only rank points, over the first step of a fit."""
+"""Step of derivatives that only rank points, relative to a fit's first step."""
 NEAR = 1.0
-"""χ² gained since the derivatives were taken, within which they hold for the covariance: about a
-standard deviation of one coordinate."""
+"""Gain of χ² since the Jacobian was computed, within which it is valid for the covariance: about
+one standard deviation of a coordinate."""
 ROUGHLY_CONVERGED, ROUGHLY_CONVERGED_SHARE = 1.0, 0.01
-"""The same of a rough fit. One that closes less of what it leaves in a round is no contender as it
-is; those that are the best none the less are fitted to the end."""
+"""The same limits for a rough fit. A fit that gains less per iteration is no contender yet; the
+best ones are completed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFit:
-    """The most probable point, with the derivatives there.
+    """The most probable point and the derivatives there.
 
     Attributes
     ----------
     point
         Shape (d,).
     residual
-        Whitened residuals there, shape (N,).
+        Whitened residuals, shape (N,).
     curvature
-        JᵀJ with J the derivative of the whitened signals by the coordinates, shape (d, d).
+        JᵀJ, with J the Jacobian of the whitened signals, shape (d, d).
     covariance
         (JᵀJ + P)⁻¹ with P the prior's precision, shape (d, d).
     steps
-        That the derivatives were taken over, shape (d,).
+        Steps of the derivatives, shape (d,).
     """
 
     model: SimulatedSignals
@@ -67,17 +68,17 @@ class SimulatedFit:
 
     @property
     def deviations(self) -> FloatArray:
-        """Centre minus coordinate in prior standard deviations, for normal priors; whitened.
+        """Whitened deviations from normal priors: (centre − coordinate) / prior standard deviation.
 
-        Such a prior is a measurement beside the recordings, of a start angle for instance.
+        Such a prior acts like a further measurement, for example of a start angle.
         """
         return self.model.normal_prior.deviations(self.point)
 
     @property
     def bound(self) -> FloatArray:
-        """Cramér-Rao bound on the standard deviation of each coordinate, prior left out, (d,).
+        """Cramér-Rao bound on the standard deviation of each coordinate, without priors, (d,).
 
-        Infinite where nothing depends on a coordinate, as on the angle of an axis without gravity.
+        Infinite if nothing depends on the coordinate, as on the angle of an axis without gravity.
         """
         norms = np.sqrt(np.diag(self.curvature))
         shown = norms > 0.0
@@ -87,16 +88,16 @@ class SimulatedFit:
         return bound
 
     def derivatives(self) -> FloatArray:
-        """Of the whitened signals by the coordinates at the point, J, shape (N, d).
+        """Jacobian J of the whitened signals at the point, shape (N, d).
 
-        Those that the fit ended with; simulated anew where they were dropped.
+        The fit's last one, or computed again if it was dropped.
         """
         if self._jacobian is not None:
             return self._jacobian
         return _jacobian(self.model, self.point, self.steps)[0]
 
     def with_derivatives(self) -> SimulatedFit:
-        """The same, holding its derivatives."""
+        """The same fit, holding its Jacobian."""
         if self._jacobian is not None:
             return self
         return _fit(
@@ -104,11 +105,12 @@ class SimulatedFit:
         )
 
     def without_derivatives(self) -> SimulatedFit:
-        """The same in little memory."""
+        """The same fit without its Jacobian, to save memory."""
         return replace(self)
 
     def peak(self) -> FloatArray:
-        """Of the normal approximation, shape (d,): outside where a range's end stopped the fit."""
+        """Peak of the normal approximation, shape (d,); it may lie outside a range that stopped the
+        fit."""
         model = self.model
         if np.all((self.point > model.low) & (self.point < model.high)):
             return self.point
@@ -116,11 +118,11 @@ class SimulatedFit:
         return np.asarray(self.point + self.covariance @ pull)
 
     def simulated(self, place: int) -> FloatArray:
-        """Channels of a recording, shape (c, n)."""
+        """Simulated channels of a recording, shape (c, n)."""
         return np.asarray(self.model.signals(self.point, place)[0])
 
     def unexplained(self, place: int) -> FloatArray:
-        """Its channels less their simulation, shape (c, n); 0 where excluded."""
+        """Recorded minus simulated channels, shape (c, n); 0 where excluded."""
         return self.model.recordings[place].residual_of(self.simulated(place))
 
     def value(self, name: str, recording: str | None = None) -> float:
@@ -144,24 +146,26 @@ def fit_simulated(
     known: FloatArray | None = None,
     goal: float = math.inf,
 ) -> SimulatedFit:
-    """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
+    """Fit by Levenberg-Marquardt within the priors' ranges, with each Jacobian in one simulation
+    batch.
 
     Parameters
     ----------
     start
-        Shape (d,); moved into the ranges if outside.
+        Shape (d,); clipped to the ranges.
     steps
-        Of the derivatives by the first unknowns, from a fit without the others.
+        Derivative steps of the first unknowns, from a fit without the others.
     rough
-        Only as near as comparing it takes: by one-sided differences, those of the last round kept.
+        Converge only as far as comparisons need, with one-sided differences, keeping the last
+        Jacobian.
     one_sided
-        The differences, at half the cost: for fits that are only compared, and made again with
-        central ones where they decide.
+        Use one-sided differences, at half the cost: for fits that are only compared. Those that
+        decide are made again with central differences.
     known
-        Derivatives by the first unknowns at a point nearby, shape (N, k).
+        Derivatives by the first unknowns at a nearby point, shape (N, k).
     goal
-        χ² above which the fit serves nothing: it ends where the rounds that are left do not get
-        there, each taken to gain as much as the last.
+        χ² above which the fit is useless: it ends if the remaining iterations would not reach it at
+        the last gain.
 
     Raises
     ------
@@ -214,7 +218,7 @@ def fit_simulated(
             break
         ended = gained < enough and (was_new or holds)
         if ended and known is not None:
-            # Derivatives of elsewhere may see no way on where there is one.
+            # A Jacobian from elsewhere may miss a way on.
             holds = False
         elif ended:
             break
@@ -226,7 +230,7 @@ def fit_simulated(
     if not rough and value_there - value > NEAR:
         jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
         curvature, value_there = jacobian.T @ jacobian, value
-    # What a search compares may be near; what an answer rests on is taken where it ends.
+    # A comparison may use a nearby Jacobian; an answer needs that of the optimum.
     kept = jacobian if value_there - value <= (NEAR if one_sided else CONVERGED) else None
     return _fit(model, point, residual, curvature, steps, kept)
 
@@ -234,10 +238,10 @@ def fit_simulated(
 def promised_within(
     model: SimulatedSignals, point: FloatArray, low: FloatArray, high: FloatArray
 ) -> float:
-    """χ² that one step from a point, shape (d,), within a range promises to leave.
+    """χ² that a single step from a point, shape (d,), within a range promises to leave.
 
-    Not finite where the point cannot be simulated. By one-sided differences over a fiftieth of each
-    range: near enough to rank points that are far off, without fitting from each.
+    Not finite if the point cannot be simulated. One-sided differences over a fiftieth of each range
+    rank distant points well enough without a fit from each.
     """
     steps = _first_steps(model, point) * RANKING_STEP
     steps = np.where(point + steps > model.high, -steps, steps)
@@ -251,19 +255,19 @@ def promised_within(
 
 
 def _promised(gradient: FloatArray, curvature: FloatArray, move: FloatArray) -> float:
-    """By how much a move lowers χ², as the derivatives have it."""
+    """Reduction of χ² by a move, in the quadratic approximation."""
     return float(2.0 * gradient @ move - move @ curvature @ move)
 
 
 def fit_at(model: SimulatedSignals, point: FloatArray) -> SimulatedFit:
-    """A point as it is, with the derivatives there."""
+    """A fit object at a given point, with the derivatives there."""
     residual = model.whitened(point)[0]
     jacobian, steps = _jacobian(model, point, _first_steps(model, point))
     return _fit(model, point, residual, jacobian.T @ jacobian, steps, jacobian)
 
 
 def derivatives(model: SimulatedSignals, point: FloatArray, steps: FloatArray) -> FloatArray:
-    """Of the whitened signals by the coordinates at a point, shape (N, d)."""
+    """Jacobian of the whitened signals at a point, shape (N, d)."""
     return _jacobian(model, point, steps)[0]
 
 
@@ -275,7 +279,7 @@ def _fit(
     steps: FloatArray,
     jacobian: FloatArray | None,
 ) -> SimulatedFit:
-    """``jacobian``: at the point, as long as the fit is not changed."""
+    """``jacobian``: at the point; dropped when the fit is changed."""
     covariance = _covariance(curvature, model.prior_precision())
     fit = SimulatedFit(model, point, residual, curvature, covariance, steps)
     object.__setattr__(fit, "_jacobian", jacobian)
@@ -294,7 +298,7 @@ def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray)
 
 
 def prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
-    """Slope of the log prior at a point, shape (d,), flat priors left out."""
+    """Gradient of the log prior at a point, shape (d,), without flat priors."""
     prior = model.normal_prior
     return np.asarray(-prior.precision @ (point - prior.centre))
 
@@ -307,12 +311,11 @@ def _bounded_step(
     low: FloatArray,
     high: FloatArray,
 ) -> FloatArray:
-    """Damped Gauss-Newton step; coordinates that would leave their range stop at its end.
+    """Damped Gauss-Newton step, clipped at the ends of the ranges.
 
-    What nothing depends on (the torque constant where there is no current) stays where it is.
-
-    ``gradient`` is Jᵀr with r = recording − simulation and J the derivative of the simulation,
-    less the prior's pull: the direction to go.
+    Coordinates that nothing depends on (the torque constant without current) stay where they are.
+    ``gradient``: Jᵀr plus the prior's pull, with r = recording − simulation and J the derivative of
+    the simulation, so it points towards the optimum.
     """
     scale = np.sqrt(np.diag(curvature))
     free = scale > IDLE
@@ -347,10 +350,11 @@ def _jacobian(
     one_sided: bool = False,
     known: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Differences of the whitened signals, and better steps for the next time.
+    """Jacobian of the whitened signals by differences, and better steps for the next time.
 
-    Steps whose change is not of the order of the noise are tried again: the simulator's own error
-    drowns a shorter one, curvature spoils a longer one. Central differences unless ``one_sided``.
+    Steps whose change is not of the order of the noise are repeated: the simulator's own error
+    drowns a shorter one, and curvature distorts a longer one. Central differences unless
+    ``one_sided``.
     """
     d = point.size
     columns = np.empty((d, model.size)).T
@@ -368,7 +372,7 @@ def _jacobian(
                 ends[1][row, i] = max(point[i] - steps[i], model.low[i])
         begin, half = 0, pending.size
         for place in range(len(model.recordings)):
-            # One after the other: twice as many signals as derivatives would fill the memory.
+            # One recording at a time: twice as many signals as derivatives would fill the memory.
             z = model.whitened_of(moved, place)
             # The residual falls where the simulation rises.
             columns.T[pending, begin : begin + z.shape[1]] = z[half:] - z[:half]

@@ -1,12 +1,12 @@
-"""Noise that goes round in the speed loop, and what it does to the impacts.
+"""Sensor noise fed back by the speed loop, and its effect on the impacts.
 
-A controller answers the noise of its speed sensor, so the motor moves with it. On a tooth flank
-that is linear: with S and H the loop's answer in speed and current, noise n of the sensor is S n
-and H n in the channels, part of their noise like any other. At an impact it is not: the load meets
-the flank earlier or harder, and the ringing after it differs. So n is drawn and simulated, as a
-reference that is less by it, on the fitted bench with its gap.
+A controller responds to the noise of its speed sensor, so the motor moves with it. On a tooth flank
+this is linear. With S and H the loop's responses in speed and current, sensor noise n appears in
+the channels as S n and H n, a normal part of their noise. At an impact it is not linear: the load
+meets the flank earlier or harder, and the following ringing differs. So n is drawn, subtracted from
+the reference, and simulated on the fitted bench with its gap.
 
-How much of the noise goes round is seen by the current: what the recorder adds does not move it.
+The current shows how much of the noise is fed back: noise added by the recorder does not move it.
 """
 
 from __future__ import annotations
@@ -31,29 +31,30 @@ from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 ROTATIONS = 40
-"""Simulated with noise, at least: the factor's root is then good to a ninth."""
+"""Smallest number of rotations simulated with noise: the root of the factor is then exact to a
+ninth."""
 
 QUANTILES = np.array([normal_isf(p) for p in (np.arange(10) + 0.5) / 10])
-"""Of a standard normal, as likely each."""
+"""Equally likely values of a standard normal."""
 
 FEWEST_STRETCHES = 4
-"""Without lost samples, for a spectrum."""
+"""Fewest stretches without lost samples for a spectrum."""
 
 LEAST_SHARE = 0.05
-"""Of the noise's power: less in the loop widens no interval by a tenth."""
+"""Smallest share of the noise power that counts: less in the loop widens no interval by a tenth."""
 
 STRETCHES = 16
-"""Of a recording, whose spectra are averaged."""
+"""Number of stretches of a recording whose spectra are averaged."""
 
 UNKNOWN_SHARES = (np.arange(10) + 0.5) / 10
-"""Without a current any share is as likely as any other."""
+"""Without a current, all shares are equally likely."""
 
 
 def turns_of(rows: FloatArray, observation: Observed) -> FloatArray:
-    """Whitened channels (c, n − p) of each rotation one after the other, (rotation, c lag).
+    """Whitened channels (c, n − p) by rotation, one channel after the other, (rotation, c lag).
 
-    Of a motion its cycles; of one that does not repeat, a single one. What the last lacks by its
-    rounding is taken for zero.
+    Cycles of a motion; a motion that does not repeat is a single one. Samples missing from the last
+    rotation by rounding are zero.
     """
     rows = rows[:, observation.first_compared :]
     lag = observation.lag if observation.repeats else rows.shape[1]
@@ -62,15 +63,15 @@ def turns_of(rows: FloatArray, observation: Observed) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopNoise:
-    """Noise of a recording that goes round in its loop.
+    """Noise of a recording that its loop feeds back.
 
     Attributes
     ----------
     shares
-        Of all its noise that does, some values that are as likely, shape (k,).
+        Equally likely values of the share of its noise that is fed back, shape (k,).
     around, linear
-        Whitened rotations, as :func:`turns_of` has them, of noise all of which goes round, and of
-        what the linear loop makes of it, shape (R, c lag).
+        Whitened rotations, as by :func:`turns_of`, with all noise fed back, and their linear
+        approximation, shape (R, c lag).
     """
 
     shares: FloatArray
@@ -78,9 +79,11 @@ class LoopNoise:
     linear: FloatArray
 
     def factors(self, along: FloatArray) -> FloatArray:
-        """Variance of the recording's noise along a change of its rotations, some likely values.
+        """Variance of the recording's noise along a change of its rotations, equally likely values,
+        (k,).
 
-        ``along``: of the whitened rotations, (r, c lag). In units of the whitened noise's, (k,).
+        ``along``: change of the whitened rotations, (r, c lag). In units of the variance of
+        whitened noise.
         """
         power = float(np.sum(along**2))
         if power == 0.0:
@@ -90,11 +93,11 @@ class LoopNoise:
         return 1.0 + self.shares * max(more, 0.0)
 
     def degrees_of_freedom(self, parts: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Of the power of some parts of a rotation's noise, (k,).
+        """Effective degrees of freedom of the noise power in some parts of a rotation, (k,).
 
-        What does not go round has the colour of what does, and nothing to do with it.
+        Noise that is not fed back has the same spectrum, independently.
 
-        ``parts``: of rotations (R, c lag) to (R, d).
+        ``parts``: from rotations (R, c lag) to (R, d).
         """
         around, other = parts(self.around), parts(np.roll(self.linear, 1, axis=0))
         mixes = np.sqrt(self.shares), np.sqrt(1.0 - self.shares)
@@ -105,19 +108,18 @@ class LoopNoise:
     def chance(
         self, ratio: float, parts: Callable[[FloatArray], FloatArray], rotations: int
     ) -> float:
-        """That so many rotations have as much power in their mean, over what scatters, or more.
+        """Probability that noise gives at least this ratio of the mean's power to the scatter.
 
-        ``parts``: of rotations that the power is in, as :meth:`degrees_of_freedom` takes them.
+        ``parts``: parts of rotations with this power, as for :meth:`degrees_of_freedom`.
         """
         degrees = self.degrees_of_freedom(parts)
         return float(np.mean([f_sf(ratio, own, own * (rotations - 1)) for own in degrees]))
 
 
 def degrees_of_freedom(rows: FloatArray) -> float:
-    """Of the power of normal rows, (R, d): its mean and variance are those of so many values alike.
+    """Effective degrees of freedom of the power of normal rows, (R, d), by its mean and variance.
 
-    With Σ their covariance (tr Σ)²/tr Σ² (Satterthwaite 1946), of which tr Σ² is estimated without
-    bias.
+    With Σ their covariance, (tr Σ)²/tr Σ² (Satterthwaite 1946), with an unbiased estimate of tr Σ².
     """
     centred = rows - rows.mean(axis=0)
     products = centred @ centred.T
@@ -130,10 +132,11 @@ def degrees_of_freedom(rows: FloatArray) -> float:
 
 
 def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
-    """Variance of all noise along changes of the whitened signals (N,), some likely values each.
+    """Function of a change of the whitened signals (N,): likely values of the variance of all
+    noise.
 
-    In units of the recorder's, as :meth:`LoopNoise.factors` of each recording; of rounding that may
-    be the same in all rotations, in units of what it is counted as.
+    In units of the recorder's variance, as :meth:`LoopNoise.factors` of each recording. For
+    rounding that may be the same in all rotations, in units of its assumed variance.
     """
     of_recording = cache(partial(_factors, fit))
 
@@ -151,7 +154,7 @@ def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
 
 
 def _factors(fit: SimulatedFit, place: int) -> Callable[[FloatArray], FloatArray]:
-    """Of a recording, by its noise in the loop, or by rounding alike in rotations; (k,) or (1,)."""
+    """Noise factors of a recording, by loop noise or by rounding that repeats, (k,) or (1,)."""
     if not fit.model.noise[place].repeats:
         loop = loop_noise(fit, place)
         return loop.factors if loop is not None else lambda along: np.ones(1)
@@ -167,7 +170,7 @@ def _factors(fit: SimulatedFit, place: int) -> Callable[[FloatArray], FloatArray
 
 
 def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
-    """Of a recording; ``None`` where noise is not in the loop, or cannot be told from rounding."""
+    """Loop noise of a recording; ``None`` if there is none, or rounding hides it."""
     model = fit.model
     observation, noise = model.recordings[place], model.noise[place]
     spectra = None if noise.repeats else _spectra(fit, place)
@@ -177,7 +180,7 @@ def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
     vector = model.vectors(fit.point[None], observation)
     loop = _around_the_loop(vector[0], observation)
     in_speed, in_current = (np.interp(frequency, *row) for row in loop)
-    # What the loop holds down is hardly seen, and what is seen there may come from elsewhere.
+    # Where the loop suppresses noise, little is visible, and that may have other causes.
     passed = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
     if not passed.size:
         return None
@@ -204,7 +207,7 @@ def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
 def _around_the_loop(
     parameters: FloatArray, observation: Observed
 ) -> tuple[tuple[FloatArray, ComplexArray], tuple[FloatArray, ComplexArray]]:
-    """S and H, each with its frequencies in cycles per sample."""
+    """Frequency responses S and H, each with its frequencies in cycles per sample."""
     impulse = np.zeros(min(observation.samples, observation.lag))
     impulse[0] = 1.0
     moved, answer = noise_through_loop(parameters, impulse, 1.0 / observation.sampling_hz)
@@ -213,10 +216,10 @@ def _around_the_loop(
 
 
 def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, ComplexArray] | None:
-    """Frequency in cycles per sample, power of the speed's noise, current times speed conjugate.
+    """Frequency in cycles per sample, power of the speed noise, and current times conjugate speed.
 
-    By Welch's method, of what does not repeat; white noise has its variance for power. ``None``
-    where hardly a stretch is without lost samples.
+    By Welch's method on the part that does not repeat; the power of white noise is its variance.
+    ``None`` if almost no stretch is without lost samples.
     """
     observation = fit.model.recordings[place]
     unexplained = fit.unexplained(place)
@@ -243,10 +246,9 @@ def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, Com
 def _rotations(
     fit: SimulatedFit, place: int, what: str, draws: Iterator[tuple[FloatArray, FloatArray]]
 ) -> FloatArray:
-    """Whitened rotations of a recording by noise of two kinds, (2, R, c lag).
+    """Whitened rotations of a recording with two kinds of noise, (2, R, c lag).
 
-    ``draws``: of both, as channels (c, n); the same for all comparisons at this point under this
-    noise, and made once.
+    ``draws``: of both kinds, as channels (c, n). They are made once for this point and noise model.
     """
     model = fit.model
     observation, noise = model.recordings[place], model.noise[place]
@@ -267,10 +269,10 @@ def _rotations(
 def _noise(
     fit: SimulatedFit, place: int, sensor: FloatArray, linear: ComplexArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Draws of noise in the loop, by its simulation and by the linear loop.
+    """Draws of noise in the loop, simulated and in the linear approximation.
 
-    ``sensor``: of white noise to that of the speed sensor, by frequency, (n//2 + 1,); ``linear``:
-    of that to the channels, (c, n//2 + 1).
+    ``sensor``: gain from white to sensor noise by frequency, (n//2 + 1,); ``linear``: response from
+    sensor noise to the channels, (c, n//2 + 1).
     """
     observation = fit.model.recordings[place]
     undisturbed = _simulated(fit, place, np.zeros(observation.samples), observation.sampling_hz)
@@ -284,10 +286,11 @@ def _noise(
 
 
 def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
-    """Whitened rotations of a recording's rounding, (R, c lag), one or two cases.
+    """Whitened rotations of a recording's rounding, (R, c lag), in one or two cases.
 
-    The recorder's, and an encoder's: what its counts make of the speed goes round in the loop, as
-    the controller has them too. Empty where nothing is rounded, or that cannot be simulated.
+    The cases are rounding by the recorder, and by an encoder. The controller also uses the
+    encoder's counts, so the loop feeds this error back. Empty if nothing is rounded or it cannot be
+    simulated.
     """
     if all(own.steps is None for own in fit.model.recordings[place].rounding):
         return []
@@ -296,10 +299,10 @@ def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
 
 
 def _rounded(fit: SimulatedFit, place: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Draws of both cases; the second nan where the speed is not in steps."""
+    """Draws of both cases; the second is nan if the speed has no steps."""
     model, observation = fit.model, fit.model.recordings[place]
     exact, unexplained = fit.simulated(place), fit.unexplained(place)
-    # A controller that is slower or faster than the recorder differentiates from tick to tick.
+    # A controller with another rate than the recorder differentiates from tick to tick.
     vector = model.vectors(fit.point[None], observation)
     period = float(vector[0, Slot.sampled_control__period_s])
     ticks_hz = 1.0 / period if period > 0.0 else observation.sampling_hz
@@ -330,10 +333,10 @@ def _rounded(fit: SimulatedFit, place: int) -> Iterator[tuple[FloatArray, FloatA
 def _simulated(
     fit: SimulatedFit, place: int, disturbance_rpm: FloatArray, ticks_hz: float
 ) -> FloatArray:
-    """Channels (c, n) of a recording whose loop is asked for that much less from tick to tick.
+    """Channels (c, n) of a recording with the reference reduced by this disturbance at each tick.
 
-    From the second tick on: a motion starts at the speed asked for, load and all, and by noise of
-    the sensor no load turns faster.
+    From the second tick on: a motion starts at its reference speed, load included, and sensor noise
+    does not turn the load faster.
     """
     model, observation = fit.model, fit.model.recordings[place]
     point = fit.point.copy()
@@ -343,7 +346,7 @@ def _simulated(
     if observation.motion is not None:
         known = dict(observation.known)
         late = model.place_of(REFERENCE_DELAY, observation.name)
-        # The reference is late; the noise, which is put into it, is not.
+        # The delay is that of the reference; the noise added to it has none.
         asked = observation.motion.speed_rpm(time - (0.0 if late is None else float(point[late])))
         if late is not None:
             point[late] = 0.0

@@ -1,4 +1,4 @@
-"""Recordings of motions beside their simulation: noise, start angles, changes of flank."""
+"""Comparing motions with their simulation: noise, start angles, flank changes."""
 
 from __future__ import annotations
 
@@ -23,44 +23,44 @@ from bayesbl.noise.channel_noise import (
 from bayesbl.recording.types import BoolArray, FloatArray
 
 LOADED_SHARE = 0.05
-"""Of the largest torque in a motion, that presses the teeth together at its start without doubt: a
-bearing that a bench calls free of friction may still hold some per cent."""
+"""Share of the largest torque in a motion that surely presses the teeth together at its start: a
+bearing that a bench calls frictionless may hold some per cent."""
 
 ANGLES_SCANNED = 36
 ANGLES_REFINED = 4
 REFINEMENTS = 2
 FINE_ANGLE = 2.0 * math.pi / ANGLES_SCANNED / 4.0 ** (REFINEMENTS + 1)
 ANGLES_KEPT = 2
-"""Places that gravity tells apart by the current, and hardly by the speed alone."""
+"""Angles that gravity distinguishes by the current, and hardly by the speed alone."""
 PAIR_REFINEMENTS = 2
 ABOUT = np.arange(-3.0, 4.0)
-"""Places about the best of a coarser grid, in steps of a finer one that is a quarter of it."""
+"""Neighbours of the best point of a coarser grid, in steps of a finer one, a quarter as long."""
 BESIDE = np.arange(-2.0, 3.0)
-"""The same in steps of the coarser one, and of one that is half of it."""
+"""The same in steps of the coarser grid, and of one half as long."""
 GAPS_SCANNED = 12
 GAPS_SCANNED_FINELY = 96
-"""Steps of 5 %: a motion has a valley of χ² for each sequence of impacts."""
+"""Steps of 5 %: χ² of a motion has a local minimum for each sequence of impacts."""
 VALLEYS_FITTED = 4
 AT_ONCE = 64
-"""Simulated motions held in memory together."""
+"""Number of simulated motions in memory."""
 ANGLE_STEP_RAD = 1e-3
-"""Less than what a changed flank moves the load by, more than the simulator's error shows."""
+"""Smaller than the load's move on a changed flank, larger than shows the simulator's error."""
 SHIFTS = 2
-"""Newton steps to the start angle by which the other flank's motion is the most alike."""
+"""Newton steps to the start angle that makes the other flank's motion most alike."""
 SCANNED_S = 4.0
-"""Of a motion, behind what is left out, or one cycle if that is longer: enough to start from."""
+"""Length of a motion used for scans, or one cycle if that is longer, after the excluded start."""
 
 _Scan = Callable[[int, FloatArray], tuple[FloatArray, FloatArray]]
-"""So many gaps at start angles (k,): points (k, m, d) and χ² there (k, m)."""
+"""From a number of gaps and start angles (k,) to points (k, m, d) and their χ² (k, m)."""
 
 
 def noise_of(observation: Observed, residual: FloatArray) -> ChannelNoise:
-    """Noise from what is left of a recording, shape (c, n), where it repeats or where it does not.
+    """Noise model of a recording from its residual, shape (c, n), whether it repeats or not.
 
     Raises
     ------
     RecordingError
-        If there is too little of it.
+        If the residual is too short.
     """
     rounding = _rounding_of(observation, residual)
     if observation.motion is None:
@@ -73,7 +73,8 @@ def noise_of(observation: Observed, residual: FloatArray) -> ChannelNoise:
 
 
 def _rounding_of(observation: Observed, residual: FloatArray) -> FloatArray | None:
-    """Autocovariance of each channel's rounding where the simulation leaves this, shape (c, n)."""
+    """Autocovariance of each channel's rounding, given the residual of the simulation, shape (c,
+    n)."""
     if not observation.rounding:
         return None
     simulated = observation.signals - residual
@@ -82,12 +83,12 @@ def _rounding_of(observation: Observed, residual: FloatArray) -> FloatArray | No
 
 
 def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
-    """What is left, from each sample on, of the flank that a motion began on, shape (n,).
+    """Remaining effect, from each sample on, of the flank that a motion began on, shape (n,).
 
-    χ² between the simulations from either flank: a fit that begins on the wrong one is off by its
-    root at most, in standard deviations of anything, where the noise is white. What an unknown
-    start angle takes up moves nothing else, and what is left out of the comparison counts for
-    nothing; zero where the torque at the start decides the flank.
+    χ² between the simulations from either flank. A fit that begins on the wrong flank is off by at
+    most its root, in standard deviations of any quantity, if the noise is white. The part that an
+    unknown start angle absorbs is subtracted, and excluded samples do not count. Zero if the torque
+    at the start decides the flank.
     """
     model, observation = fit.model, fit.model.recordings[index]
     assert observation.motion is not None
@@ -122,7 +123,7 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
 
 
 def _from_each_sample_on(values: FloatArray) -> FloatArray:
-    """Sum over all channels and what is left of a recording, (c, n) to (n,)."""
+    """Sum over all channels from each sample to the end, (c, n) to (n,)."""
     total: FloatArray = np.cumsum(values.sum(axis=0)[::-1])[::-1]
     return total
 
@@ -130,10 +131,10 @@ def _from_each_sample_on(values: FloatArray) -> FloatArray:
 def start_angles(
     model: SimulatedSignals, points: FloatArray, recording: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Best start angle of a motion at each point, (m, d) to (m,), and χ² left there, (m,).
+    """Best start angle of a motion and χ² at each point, (m, d) to (m,) each.
 
     The angle is sought once, at the middle point: the gap moves the load by a thousandth of a
-    radian, gravity tells its angle no better than that before the fit.
+    radian, and before the fit gravity shows the angle no better.
     """
     place = _angle_place(model, recording)
     if place is None:
@@ -150,18 +151,18 @@ def start_angles(
 
 
 def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray]:
-    """Points to fit a motion alone from, best first: its gap and its start angle by scan.
+    """Starting points for the fit of a single motion, best first, by scans of gap and start angle.
 
-    The angle is refined with the gap free over its whole range, for gravity moves the current by
-    more than any gap does; then both together are scanned finely about the best angles: a
-    milliradian shifts the impacts into another valley of the gap.
+    The angle is refined over the whole range of the gap, because gravity moves the current by more
+    than any gap. Then both are scanned finely around the best angles: a milliradian moves the
+    impacts to another local minimum of the gap.
 
     Parameters
     ----------
     model
-        Of this one recording.
+        Model of this one recording.
     start
-        Shape (d,): where everything else stands.
+        Shape (d,): values of everything else.
     """
     name = model.recordings[0].name
     gap = model.index(GAP, name)
@@ -202,7 +203,7 @@ def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray
 
 
 def _best(valleys: list[tuple[float, FloatArray]], step: FloatArray) -> list[FloatArray]:
-    """Points of the lowest χ², the best first, no two within a step of each other."""
+    """Points of the lowest χ², best first, no two within a step of each other."""
     kept: list[FloatArray] = []
     for _, point in sorted(valleys, key=lambda own: own[0]):
         if all(np.any(np.abs(point - other) > 1.5 * step) for other in kept):
@@ -211,7 +212,7 @@ def _best(valleys: list[tuple[float, FloatArray]], step: FloatArray) -> list[Flo
 
 
 def _likely_angles(scanned: _Scan) -> list[FloatArray]:
-    """Fine grids of start angles about those that fit best with any gap, the best first."""
+    """Fine grids around the start angles that fit best with any gap, best first."""
     width = 2.0 * math.pi / ANGLES_SCANNED
     angles = width * np.arange(float(ANGLES_SCANNED))
     cost = scanned(GAPS_SCANNED, angles)[1].min(axis=1)
@@ -227,20 +228,20 @@ def _likely_angles(scanned: _Scan) -> list[FloatArray]:
 
 
 def _valleys(cost: FloatArray) -> list[tuple[int, int]]:
-    """Places of a grid (k, m) that lie no higher than the eight around them."""
+    """Local minima of a grid (k, m) among their eight neighbours."""
     beside = sliding_window_view(np.pad(cost, 1, constant_values=np.inf), (3, 3))
     return list(zip(*np.nonzero(cost <= beside.min(axis=(2, 3))), strict=True))
 
 
 def _angle_place(model: SimulatedSignals, recording: int) -> int | None:
-    """Place of a recording's start angle; ``None`` where it is known or nothing depends on it."""
+    """Index of a recording's start angle; ``None`` if it is known or without effect."""
     if not model.bench.value("gravity_torque_nm"):
         return None
     return model.place_of(START_ANGLE, model.recordings[recording].name)
 
 
 def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
-    """χ² of one motion as if its noise were white, from its first seconds, (m, d) to (m,)."""
+    """χ² of one motion with white noise, from its first seconds, (m, d) to (m,)."""
     observation = model.recordings[recording]
     assert observation.motion is not None
     scanned = observation.first_compared + max(
@@ -270,14 +271,14 @@ def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: in
 
 @dataclass(frozen=True, slots=True)
 class FlankChange:
-    """The load passes from one flank to the other.
+    """Change of the load from one flank to the other.
 
     Attributes
     ----------
     left_s, met_s
-        When the teeth part, and when they meet on the other side, from the first sample.
+        When the teeth separate, and when they meet on the other side, from the first sample.
     side
-        Of the flank met: 1 where the motor pushes the load forward, −1 backward.
+        Flank that is met: 1 where the motor pushes the load forward, −1 backward.
     """
 
     left_s: float
@@ -286,7 +287,7 @@ class FlankChange:
 
 
 def flank_changes(fit: SimulatedFit, recording: int) -> list[FlankChange]:
-    """Every change of flank in the part of a motion that is compared, at the fit's optimum."""
+    """All flank changes in the compared part of a motion, at the fit's optimum."""
     model, observation = fit.model, fit.model.recordings[recording]
     assert observation.motion is not None
     row = model.vectors(fit.point[None], observation)
@@ -300,7 +301,7 @@ def flank_changes(fit: SimulatedFit, recording: int) -> list[FlankChange]:
 def changes_of(
     twist: FloatArray, gap_rad: float, period_s: float, excluded: BoolArray | None = None
 ) -> list[FlankChange]:
-    """Changes of flank in a twist, shape (n,), rad, but for those that end in excluded samples."""
+    """Flank changes in a twist, shape (n,), rad, except those that end in excluded samples."""
     side = np.where(twist > gap_rad, 1, np.where(twist < -gap_rad, -1, 0))
     touching = np.flatnonzero(side)
     before, after = touching[:-1], touching[1:]

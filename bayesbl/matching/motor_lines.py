@@ -1,14 +1,14 @@
-"""What turns with the motor, marginalised: cogging, ripple and errors of the motor's encoder.
+"""Marginalise what repeats with the motor: cogging, ripple and errors of the motor's encoder.
 
-Every real motor has them and no data sheet of a joint says how much, while a gap acts once in a
-flank change of the load. So whatever function of the motor's angle a channel holds is integrated
-out under a flat prior: residuals r become
+Every real motor has them, and no joint's data sheet states them, while a gap acts once per flank
+change of the load. So any function of the motor angle in a channel is integrated out under a flat
+prior. Residuals r become
 
     r − H (HᵀH)⁺ Hᵀ r + mean of r,
 
-the columns of H hats over a turn of the motor; their sum, a constant, is friction's. Recording,
-simulation and derivatives all lose it alike, so nothing is biased; of what the load does, one part
-in the gear ratio goes with it.
+where the columns of H are hat functions over a turn of the motor. Their sum is constant, and the
+mean stays because friction determines it. Recording, simulation and derivatives are projected
+alike, so there is no bias. Of the load's signal, one part in the gear ratio is lost.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from bayesbl.compiled import compiled
 from bayesbl.recording.types import BoolArray, FloatArray
 
 MOST_SHARE = 0.01
-"""Of the samples that is spent on lines of the motor: columns of H over samples."""
+"""Largest number of columns of H per sample."""
 FEWEST_HATS, MOST_HATS = 8, 256
-"""A sine of order k is represented to (2π k/hats)²/12: 5 % of order 30."""
+"""A sine of order k is represented with an error of (2π k/hats)²/12: 5 % at order 30."""
 SMALLEST = 1e-9
-"""Eigenvalue of HᵀH over the largest below which a column is a combination of the others."""
+"""Relative eigenvalue of HᵀH below which a column is a combination of the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class MotorLines:
     Attributes
     ----------
     turns
-        Of the motor at each sample, shape (n,).
+        Motor turns at each sample, shape (n,).
     kept
-        Samples that are compared, shape (n,).
+        Compared samples, shape (n,).
     """
 
     turns: FloatArray
@@ -47,13 +47,14 @@ class MotorLines:
 
     @cached_property
     def count(self) -> int:
-        """Number of hats b; none where the samples are too few."""
+        """Number of hats b; zero if there are too few samples."""
         count = min(int(MOST_SHARE * self.kept.sum()), MOST_HATS)
         return count if count >= FEWEST_HATS else 0
 
     @cached_property
     def place(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-        """The hat before each sample, and what the sample has of it and of the next, (n,) each."""
+        """Index of the hat before each sample, and the weights of it and the next one, (n,)
+        each."""
         place = self.turns % 1.0 * self.count
         before = np.floor(place).astype(np.int64)
         share = place - before
@@ -72,11 +73,11 @@ class MotorLines:
         return np.asarray(np.linalg.pinv(gram, rcond=SMALLEST, hermitian=True))
 
     def project_out(self, rows: FloatArray) -> None:
-        """Remove from rows of the recording's last samples, (…, m), what turns with the motor."""
+        """Remove what repeats with the motor from rows of the last samples, (…, m)."""
         if not self.count:
             return
         first = self.kept.size - rows.shape[-1]
-        # The hats add up to one, so this takes the constant too.
+        # The hats add up to one, so subtracting 1/n from the weights keeps the mean.
         weights = self.inverse - 1.0 / self.kept[first:].sum()
         before, own, next_ = (values[first:] for values in self.place)
         for index in np.ndindex(rows.shape[:-1]):

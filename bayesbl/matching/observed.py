@@ -1,8 +1,8 @@
-"""Recordings as the simulator is compared with them: which signals, from where on, how they repeat.
+"""Recordings as compared with the simulation: which signals, from which sample on, how they repeat.
 
-A recording of a motion does not begin where its history is known: in motion, in the gap, or at rest
-on the flank where friction or the last move left it. The state at the first sample is forgotten
-once the teeth have met and the transients have died, and what was before is left out.
+The state at the start of a recorded motion is unknown: the joint may be moving, in the gap, or at
+rest on the flank where friction or the last move left it. This state is forgotten once the teeth
+have met and the transients have died out. Everything before is left out.
 """
 
 from __future__ import annotations
@@ -45,86 +45,84 @@ from bayesbl.recording.types import (
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 WHOLE_SPEED_RPM, WHOLE_SHARE = 0.1, 5e-4
-"""How far a mean speed may be from a whole number of rpm that is taken for the reference: over
-whole rotations the integral of the controller keeps the mean there but for noise. At a slow speed
-as a share of it, for 10.06 rpm is not 10."""
+"""Largest distance of a mean speed from a whole number of rpm that is taken for the reference,
+absolute and relative. The controller's integral keeps the mean over whole rotations at the
+reference, except for noise. The relative limit is for slow speeds: 10.06 rpm is not 10."""
 
 EVEN = 0.1
-"""Of the sampling period, by which time stamps may be off an even grid and are left as they are."""
+"""Largest deviation of time stamps from an even grid that is accepted, in sampling periods."""
 
 LARGEST_SPEED_ERROR = 0.01
-"""Relative difference of a recording's mean speed from the one it is simulated at: on the reference
-bench δ at a given amplitude goes with the power 0.28 to 0.57 of the speed, so 0.6 % of δ at most.
-"""
+"""Largest relative difference of a recording's mean speed from the simulated one. On the reference
+bench, δ at a given amplitude is proportional to the speed to the power 0.28 to 0.57, so δ is off by
+0.6 % at most."""
 
 SURELY_OTHER = 5.0
-"""Standard deviations of a mean speed, and the root of the χ² of a period, by which they are not as
-stated: of some sixty periods that do not look alike, one in 30,000 by chance."""
+"""Standard deviations of a mean speed, and the root of a period's χ², beyond which they differ from
+the stated values. Of some sixty distinct periods, one in 30,000 does so by chance."""
 
 LARGEST_CLOCK_ERROR = 1e-3
-"""By which clock and speed together are taken to be off: crystals are within 1e-4, and a logger
-that is paced by software within a few times that. Every rate of the joint is off by as much, and δ
-by about as little. A gear ratio that is off by more is one that was rounded, or another joint's."""
+"""Largest assumed relative error of clock and speed together. Crystals are within 1e-4, and a
+logger paced by software within a few times that. Every rate of the joint is off by as much, and δ
+by about as little. A larger error of the gear ratio means a rounded ratio, or another joint."""
 
 FAST_S = 0.25
-"""Noise of a motion that does not repeat is what is faster than a mean over this: two periods or
-more of any ringing, and long beside the noise of sensors."""
+"""In a motion that does not repeat, noise is what is faster than a mean over this time. It covers
+at least two periods of any ringing, and is long compared with the correlation of sensor noise."""
 
 STANDSTILL = 20.0 * SIGN_WIDTH_SHARE
-"""Of the joint's reference speed, twenty times the width over which friction changes its sign:
-beyond, it is that of motion."""
+"""Speed below which the joint stands still, relative to its reference speed: twenty times the width
+over which friction changes its sign. Above, friction is that of motion."""
 
 MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE = ACCURACY
-"""Of the reference speed: as near simulated speeds are to those of an independent solver."""
+"""Relative to the reference speed: agreement of simulated speeds with an independent solver."""
 RINGING_BAND = 4.0
-"""Two octaves above the loop's corner, or up to twice the ringing where that is higher. With an
-encoder of 16 bits and a trace of 1 kHz the current seems to rise by 0.22 of the gain over all
-frequencies, and falls by 0.44 to 0.80 of it in these."""
+"""Upper end of the band relative to the loop's corner, two octaves, or twice the ringing frequency
+if that is higher. With a 16-bit encoder sampled at 1 kHz, the current seems to rise by 0.22 of the
+gain over all frequencies, but falls by 0.44 to 0.80 of it in this band."""
 SURE_SLOPE, LEAST_SLOPE = 4.0, 0.02
-"""Standard errors, and share of the controller's gain, by which a current that rises with the speed
-has the other sign: noise that the loop does not see makes the slope small, never of another sign.
-"""
+"""Slope of current on speed beyond which the sign is wrong, in standard errors and relative to the
+controller's gain. Noise outside the loop makes the slope smaller, but never changes its sign."""
 ROUNDING = 0.02
-"""Of a rotation that a recording may lack of its last: its own rounding, and the few samples that
+"""Share of the last rotation that a recording may lack: its own rounding, and the samples that
 whitening takes."""
 FEWEST_MOTOR_TURNS = 10.0
-"""In a rotation of the load, of whose lines marginalising those of the motor takes one in as many.
-"""
+"""Fewest motor turns per load rotation: marginalising the motor's lines removes one load line in
+this many."""
 MOST_LEFT_OUT = 0.3
-"""Of a recording, at its begin."""
+"""Largest share of a recording that is left out at its start."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """A recording as the simulator is compared with it.
+    """A recording as it is compared with the simulation.
 
     Attributes
     ----------
     signals
-        Shape (c, n): motor speed in rpm and, where it is recorded, motor current in A.
+        Shape (c, n): motor speed in rpm and, if recorded, motor current in A.
     reference_speed_rpm
         Of the motor, negative for reverse.
     known
-        What else is known about this recording, named as in :meth:`Bench.vector`.
+        Other known values of this recording, named as in :meth:`Bench.vector`.
     excluded
-        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+        Shape (n,): samples that are lost or unreliable; ``None`` for none.
     motor_angle_rad
-        Shape (n,): reading of an absolute encoder of the motor; ``None`` where there is none.
+        Shape (n,): absolute encoder of the motor; ``None`` for none.
     motion
-        What the motor was asked to follow instead of one speed; ``reference_speed_rpm`` is then its
-        largest.
+        Reference motion instead of one speed; ``reference_speed_rpm`` is then its largest.
     cycle
-        Samples after which the motion repeats; ``None`` where it does not.
+        Period of the motion in samples; ``None`` if it does not repeat.
     rounding
-        Of each channel; empty where they are exact.
+        Rounding of each channel; empty if they are exact.
     begin_s
-        Time from the recording's first sample to the first one compared: a later part of it has
-        the drift of the whole.
+        Time from the recording's first sample to the first compared one, so that part of a
+        recording has the drift of the whole.
     motor_lines
-        Marginalised, so that nothing that turns with the motor is compared; ``None``: all is.
+        Functions of the motor angle that are marginalised; ``None`` if nothing is.
     notes
-        What was taken otherwise than stated, for the reader.
+        Notes for the reader on values that differ from the stated ones.
     """
 
     name: str
@@ -154,14 +152,14 @@ class Observed:
 
     @property
     def rows(self) -> list[int]:
-        """Of the simulator's channels, those that ``signals`` are of."""
+        """Indices of the simulator's channels that ``signals`` has."""
         return [SPEED, CURRENT][: len(self.signals)]
 
     @property
     def lag(self) -> int:
-        """Samples in one load rotation, or in one cycle of a motion, to the nearest.
+        """Samples in one load rotation, or in one cycle of a motion, rounded.
 
-        A motion that does not repeat is looked at in quarters.
+        A quarter of the recording for a motion that does not repeat.
         """
         if self.motion is not None:
             return self.cycle or self.samples // 4
@@ -169,23 +167,23 @@ class Observed:
 
     @property
     def repeats(self) -> bool:
-        """Whether the same comes again, after a rotation or a cycle of the motion."""
+        """Whether the signals repeat, after a rotation or a cycle of the motion."""
         return self.motion is None or self.cycle is not None
 
     @property
     def compared(self) -> BoolArray:
-        """Samples that are not excluded, shape (n,)."""
+        """Mask of samples that are not excluded, shape (n,)."""
         return np.ones(self.samples, dtype=bool) if self.excluded is None else ~self.excluded
 
     @property
     def first_compared(self) -> int:
-        """First sample of a motion that is compared."""
+        """First compared sample of a motion."""
         return 0 if self.motion is None else int(np.argmax(self.compared))
 
     def residual_of(self, simulated: FloatArray) -> FloatArray:
-        """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there.
+        """Recording − simulation, shape (c, n); 0 where excluded.
 
-        Without what turns with the motor, where that is marginalised.
+        Marginalised motor lines are projected out.
         """
         residual = self.signals - simulated
         if self.excluded is not None:
@@ -196,17 +194,18 @@ class Observed:
 
     @property
     def motor_start_rad(self) -> float | None:
-        """What the motor's encoder shows at the first sample; ``None`` if it is not absolute."""
+        """Angle of the motor's encoder at the first sample; ``None`` if it is not absolute."""
         return None if self.motor_angle_rad is None else float(self.motor_angle_rad[0])
 
 
 def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None = None) -> float:
-    """The speed that a recording was made at, rpm, negative in reverse.
+    """Reference speed of a recording, rpm, negative in reverse.
 
     Parameters
     ----------
     stated_rpm
-        If ``None``, the bench's own, with the recording's direction; where it was another, that.
+        If ``None``, the bench's own speed in the recording's direction; if the recording had
+        another speed, that one.
 
     Raises
     ------
@@ -229,7 +228,8 @@ def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None
 
 
 def asked_speed(recording: Recording, bench: Bench) -> tuple[float | None, str]:
-    """The reference speed, rpm, with the reason for it; ``None`` for the bench's own."""
+    """Reference speed of a recording, rpm, with the reason for it; ``None`` if it is the
+    bench's."""
     mean = _mean_speed_rpm(recording, bench.value("gear_ratio"))
     own = bench.value("reference_speed_rpm")
     if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
@@ -240,7 +240,7 @@ def asked_speed(recording: Recording, bench: Bench) -> tuple[float | None, str]:
 
 
 def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:
-    """Over whole rotations of the load, for gravity sways the speed once in each."""
+    """Mean speed over whole load rotations: gravity makes it oscillate once per rotation."""
     speed_rpm = recording.motor_speed_rpm
     mean = float(speed_rpm.mean())
     rotation = 60.0 * gear_ratio / (max(abs(mean), 1e-9) * recording.sampling_period_s)
@@ -251,7 +251,7 @@ def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:
 def observed(
     recording: Recording, bench: Bench, reference_speed_rpm: float | None = None
 ) -> Observed:
-    """The part of a recording that is compared with the bench.
+    """Prepare a recording for the comparison with the bench.
 
     Parameters
     ----------
@@ -261,10 +261,10 @@ def observed(
     Raises
     ------
     RecordingError
-        If the speed is not the reference's, or there are fewer than two load rotations where it is
-        one speed.
+        If the speed is not the reference's, or a recording at one speed has fewer than two load
+        rotations.
     ConfigError
-        If the load's rotations come again after other turns of the motor than the gear ratio says.
+        If the recording repeats after another number of motor turns than the gear ratio.
     """
     stamped, recording = recording, even(recording, EVEN)
     notes: tuple[str, ...] = ()
@@ -303,7 +303,7 @@ def observed(
 
 
 def _known(recording: Recording, bench: Bench) -> dict[str, float]:
-    """What the bench has otherwise: a speed that was derived is a mean."""
+    """Values that replace the bench's: a derived speed is an average."""
     averaged_s = recording.metadata.get(SPEED_AVERAGED_S)
     if averaged_s is None or bench.measurement.speed_source == "encoder":
         return {}
@@ -313,16 +313,17 @@ def _known(recording: Recording, bench: Bench) -> dict[str, float]:
 def _as_it_repeats(
     recording: Recording, bench: Bench, stated_rpm: float, period_s: float
 ) -> tuple[float, float, tuple[str, ...]]:
-    """Reference speed and sampling period that the recording itself shows, and notes on them.
+    """Reference speed and sampling period by the recording itself, and notes on them.
 
-    The controller's integral keeps the mean over whole rotations at its reference. Where impacts
-    do not come when speed and gear ratio say, the clock is off: all of them would be compared with
-    others, and the same is taken for friction or for a joint that is moved from outside.
+    The controller's integral keeps the mean over whole rotations at the reference. If impacts do
+    not come when speed and gear ratio say, the clock is off. Then every impact would be compared
+    with another one, and the error would be mistaken for friction or for external motion of the
+    joint.
 
     Raises
     ------
     ConfigError
-        If they come at such other times that the gear ratio is wrong.
+        If the period is so different that the gear ratio is wrong.
     """
     ratio = bench.value("gear_ratio")
 
@@ -346,7 +347,8 @@ def _as_it_repeats(
     if repeating.gain > SURELY_OTHER**2:
         late = repeating.period_s / bench.rotation_period_s(reference) - 1.0
         if abs(late) > LARGEST_CLOCK_ERROR:
-            # Of the bench, not of the recording: what else rests on that bench is wrong too.
+            # The error is the bench's, not the recording's: everything else based on this bench is
+            # wrong too.
             raise ConfigError(
                 "The recording does not repeat when the bench's load has turned once.",
                 file=recording.place,
@@ -366,7 +368,7 @@ def _as_it_repeats(
 
 
 def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
-    """The part of a recorded motion that is compared with the bench."""
+    """Prepare a recorded motion for the comparison with the bench."""
     channels = recording.channels
     time = period_s * np.arange(recording.samples, dtype=np.float64)
     motion = recorded_motion(time, channels.get(REFERENCE_SPEED), channels.get(REFERENCE_POSITION))
@@ -391,7 +393,7 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
 
 
 def _signals(recording: Recording, bench: Bench) -> FloatArray:
-    """Speed and, where it is recorded, current, shape (c, n)."""
+    """Speed and, if recorded, current, shape (c, n)."""
     rows = [recording.motor_speed_rpm]
     if MOTOR_CURRENT in recording.channels:
         require_plausible_current(recording, bench.value("current_limit_a"))
@@ -402,15 +404,16 @@ def _signals(recording: Recording, bench: Bench) -> FloatArray:
 def _require_current_sign(
     recording: Recording, bench: Bench, asked_rpm: FloatArray | None = None
 ) -> None:
-    """A speed loop answers to more speed with less current, so the current falls with the speed.
+    """Require that the current falls with the speed, as a speed loop makes it.
 
-    ``asked_rpm``: of a motion, which the loop answers to what the speed lacks of; a drive may feed
-    it and its acceleration forward besides, so what goes with these says nothing of the sign.
+    ``asked_rpm``: reference of a motion. The loop responds to the speed error. A drive may feed the
+    reference and its acceleration forward, so the parts that follow these say nothing about the
+    sign.
 
-    Above the corners of its integrators, 2 K_i/K_p and 3 √(K_pos K_i/K_p), the slope of i on e is
-    −K_p/K_t, less where e holds noise that the loop does not see. Below them ∫e and the position
-    may turn its sign; far above them there is no ringing, and the noise of a differentiated
-    encoder, which a digital loop answers a tick later, rises and falls from tick to tick.
+    Above the corners of the loop's integrators, 2 K_i/K_p and 3 √(K_pos K_i/K_p), the slope of i on
+    e is −K_p/K_t, or smaller if e contains noise outside the loop. Below them, ∫e and the position
+    loop may reverse the sign. Far above them there is no ringing. There, the noise of a
+    differentiated encoder, which a digital loop answers a tick later, alternates from tick to tick.
     """
     if MOTOR_CURRENT not in recording.channels:
         return
@@ -460,14 +463,15 @@ def _require_current_sign(
 
 
 def _beside(spectrum: ComplexArray, fed: ComplexArray) -> ComplexArray:
-    """What of a spectrum (k,) is no real multiple of others, (m, k)."""
+    """Residual of a spectrum (k,) after regression on others, (m, k), with real coefficients."""
     columns = np.concatenate([fed.real, fed.imag], axis=1).T
     real = np.concatenate([spectrum.real, spectrum.imag])
     return np.asarray(spectrum - np.linalg.lstsq(columns, real, rcond=None)[0] @ fed)
 
 
 def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[Rounding, ...]:
-    """Of each channel: the current is as inexact as its controller makes it of the speed."""
+    """Rounding of each channel; the controller passes the inexactness of the speed on to the
+    current."""
     gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
     least = LEAST_NOISE * abs(reference_rpm)
     exact = least, least / RPM_PER_RAD_PER_S * gain
@@ -475,16 +479,17 @@ def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[
 
 
 def marginalising_motor_lines(observation: Observed, bench: Bench) -> Observed:
-    """A steady rotation of which nothing that turns with the motor is compared.
+    """Marginalise everything that repeats with the motor in a steady rotation.
 
-    Lines that the bench has itself are simulated, so that their response on either side of a flank
-    change counts too. Where the motor turns few times for the load, the load's own lines would go.
+    Lines of the bench itself are simulated instead, so that their response on either side of a
+    flank change counts too. If the motor turns only a few times per load rotation, the load's own
+    lines would be lost, so nothing is done.
     """
     ratio = bench.value("gear_ratio")
     has_lines = any(effect_named(e.name).is_periodic for e in bench.effects) or bench.learned_terms
     if observation.motion is not None or has_lines or ratio < FEWEST_MOTOR_TURNS:
         return observation
-    # As many turns as the load's rotations have: an error of the mean speed adds up over them.
+    # Fix the number of turns by the load's rotations: an error of the mean speed adds up over them.
     speed = np.where(
         observation.compared,
         observation.signals[0],
@@ -497,27 +502,27 @@ def marginalising_motor_lines(observation: Observed, bench: Bench) -> Observed:
 
 
 def without_start(observation: Observed, samples: int) -> Observed:
-    """The same without its first samples, or ``MOST_LEFT_OUT`` of it."""
+    """Exclude the first samples, at most ``MOST_LEFT_OUT`` of the recording."""
     begin = min(samples, int(MOST_LEFT_OUT * observation.samples))
     return _without(observation, np.arange(observation.samples) < begin)
 
 
 def without_standstill(observation: Observed, bench: Bench) -> Observed:
-    """The same without every standstill and what still remembers it.
+    """Exclude every standstill and the transient after it.
 
-    What friction does at rest (sticking, creep, a brake) is not what it does in motion, and a bench
-    knows it badly.
+    Friction at rest (sticking, creep, a brake) differs from that in motion, and a bench describes
+    it badly.
     """
     if observation.motion is None:
         return observation
     memory = np.ones(_recovery(observation, bench) + 1)
     remembers = np.convolve(standstills(observation, bench), memory)[: observation.samples] > 0.5
-    # The motor lags behind its reference, so it stands a little later too: within the memory.
+    # The motor lags behind its reference, so it stands a little later; the transient covers this.
     return _without(observation, remembers)
 
 
 def standstills(observation: Observed, bench: Bench) -> BoolArray:
-    """Samples at which a motion's reference is at rest, or next to it, shape (n,)."""
+    """Samples at which a motion's reference is nearly at rest, shape (n,)."""
     assert observation.motion is not None
     time = np.arange(observation.samples, dtype=np.float64) / observation.sampling_hz
     fastest = max(observation.reference_speed_rpm, abs(bench.value("reference_speed_rpm")))
@@ -525,7 +530,7 @@ def standstills(observation: Observed, bench: Bench) -> BoolArray:
 
 
 def with_held_reference(observation: Observed) -> Observed:
-    """The same with a reference that a digital drive holds from sample to sample."""
+    """The same recording with its reference held from sample to sample, as by a digital drive."""
     if observation.motion is None:
         return observation
     return replace(
@@ -535,9 +540,9 @@ def with_held_reference(observation: Observed) -> Observed:
 
 
 def _recovery(observation: Observed, bench: Bench) -> int:
-    """Samples after which the bench has forgotten what it did, to a tenth of the noise."""
+    """Samples after which the bench has forgotten its past, to a tenth of the noise."""
     fastest = bench.vector(reference_speed_rpm=observation.reference_speed_rpm)
-    # By second differences, which a motion hardly has; noise that lasts counts as a little less.
+    # Second differences hardly contain the motion; correlated noise counts as a little less.
     bends = np.abs(np.diff(observation.signals[0], 2))
     noise = float(np.median(bends)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
     accuracy_rpm = max(noise, LEAST_NOISE * abs(observation.reference_speed_rpm))
@@ -555,7 +560,7 @@ def _without(observation: Observed, left_out: BoolArray) -> Observed:
 def whole_rotations(rows: FloatArray, lag: int) -> FloatArray:
     """Whitened residuals (n, …) by rotation, (r, lag, …).
 
-    The last may lack its rounding, as by the samples that whitening takes: that is taken for zero.
+    Samples missing from the last rotation, by rounding or whitening, are zero.
     """
     rotations = math.floor(len(rows) / lag + ROUNDING)
     missing = max(rotations * lag - len(rows), 0)

@@ -1,8 +1,8 @@
-"""Which motion would tell the gap of a joint best: candidates by the width that they promise.
+"""Rank motions by the expected width of a gap's interval.
 
-Near the truth the whitened signals are linear in all that is unknown, so the covariance of a fit is
-known before anything is recorded: (JᵀJ + P)⁻¹ with J the derivatives of the simulated signals and P
-the precision of the bench's tolerances.
+Near the truth, the whitened signals are linear in all unknowns. So the covariance of a fit is known
+before anything is recorded: (JᵀJ + P)⁻¹, with J the Jacobian of the simulated signals and P the
+precision of the bench's tolerances.
 """
 
 from __future__ import annotations
@@ -39,26 +39,27 @@ from bayesbl.recording.types import FloatArray
 NAME = "planned"
 
 REACH_SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Of the range allowed, that a stroke covers."""
+"""Shares of the allowed range that a stroke covers."""
 
 POSTURES = 3
-"""Places in the range that a shorter stroke is tried at, besides where gravity changes its sign."""
+"""Number of positions of a shorter stroke, besides those where gravity changes its sign."""
 
 SPEED_SHARES = (1.0, 0.4)
 ACCELERATION_SHARES = (1.0, 0.3)
 SHORTEST_REACH_RAD = 0.01
 
 GAPS_TRIED = (0.7, 1.0, 1.4)
-"""Times the gap asked for. A motion in which the load only just reaches the other flank tells one
-gap sharply and its neighbours hardly: the root mean square over these ranks it by the worst."""
+"""Multiples of the gap asked for. A motion in which the load barely reaches the other flank shows
+one gap precisely, and its neighbours hardly. The root mean square over these gaps is dominated by
+the worst."""
 
 LARGEST_CURRENT_SHARE = 0.95
-"""Of the current limit: at the limit the controller is not what the bench says."""
+"""Largest share of the current limit: at the limit, the bench does not describe the controller."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strokes:
-    """Load angles at their ends, speed and acceleration of the motor, rests between, length."""
+    """End angles of the load, speed and acceleration of the motor, dwell time, and duration."""
 
     range_rad: tuple[float, float]
     speed_rpm: float
@@ -69,15 +70,15 @@ class Strokes:
 
 @dataclass(frozen=True, slots=True)
 class PlannedMotion(Strokes):
-    """Strokes and what they would tell.
+    """Strokes and their expected precision.
 
     Attributes
     ----------
     flank_changes
-        How often the load would pass from one flank to the other.
+        Number of flank changes of the load.
     expected_relative_sd
-        Of δ, from one recording, over gaps about the one asked for; ``None`` where no flank changes
-        at one of them.
+        Relative standard deviation of δ from one recording, over gaps around the one asked for;
+        ``None`` if one of these has no flank change.
     """
 
     flank_changes: int
@@ -87,9 +88,9 @@ class PlannedMotion(Strokes):
 def ranked_motions(
     bench: Bench, limits: Strokes, gap_rad: float, sampling_hz: float, workers: int = 1
 ) -> list[PlannedMotion]:
-    """Candidate strokes within the limits, the one that tells δ best first.
+    """Candidate strokes within the limits, the most precise for δ first.
 
-    Motions that the drive could not follow are left out.
+    Motions that the drive cannot follow are left out.
 
     Raises
     ------
@@ -111,7 +112,7 @@ def ranked_motions(
 
 
 def candidates(bench: Bench, limits: Strokes) -> Iterator[Strokes]:
-    """Every motion that is tried."""
+    """All motions that are tried."""
     low, high = limits.range_rad
     upright = [
         k * math.pi - bench.value("gravity_angle_rad")
@@ -137,12 +138,12 @@ def candidates(bench: Bench, limits: Strokes) -> Iterator[Strokes]:
 
 
 def noise_of_bench(bench: Bench) -> ChannelNoise:
-    """What the bench file says of the noise of speed and current.
+    """Noise of speed and current in the bench file.
 
     Raises
     ------
     BenchError
-        If it says that there is none.
+        If there is none.
     """
     models = (bench.measurement.speed_noise, bench.measurement.current_noise)
     if not all(model.standard_deviation > 0.0 for model in models):
@@ -173,7 +174,7 @@ def _innovation_sd(model: NoiseModel) -> float:
 def _planned(
     bench: Bench, tried: Strokes, gap_rad: float, sampling_hz: float, workers: int
 ) -> PlannedMotion | None:
-    """What strokes would tell; ``None`` where the drive cannot follow them."""
+    """Evaluate strokes; ``None`` if the drive cannot follow them."""
     motion = strokes(bench.value("gear_ratio"), **asdict(tried))
     start_rad, samples = tried.range_rad[0], round(tried.duration_s * sampling_hz)
     row = bench.vector(gap_rad=gap_rad, start_angle_rad=start_rad)
@@ -199,7 +200,8 @@ def _planned(
 def _expected(
     bench: Bench, observation: Observed, start_angle_rad: float, gap_rad: float, workers: int
 ) -> tuple[int, float]:
-    """Changes of flank at a gap, and the standard deviation of ln δ, infinite without any."""
+    """Number of flank changes at a gap, and the standard deviation of ln δ, infinite without
+    any."""
     unknowns = [
         gap_unknown(0.01 * gap_rad, 100.0 * gap_rad),
         start_angle_unknown(NAME),
@@ -216,7 +218,7 @@ def _expected(
 
 
 def _as_recorded(motion: Motion, signals: FloatArray, sampling_hz: float) -> Observed:
-    """A motion as if it had been recorded, signals of shape (2, n)."""
+    """A motion as if it had been recorded, with signals of shape (2, n)."""
     fastest = motion.fastest_rpm
     return Observed(
         NAME, signals, sampling_hz, fastest, signals.shape[1] / sampling_hz, motion=motion

@@ -1,9 +1,10 @@
-"""Posterior of the gap and everything else unknown, from the recordings' own simulation.
+"""Posterior of the gap and all other unknowns, from simulations of the recordings.
 
-Draws are of a second-order surrogate of the whitened signals: independent ones where it is nearly
-normal within the ranges, else emcee's. Full simulations of some of them tell how far weights would
-move the answer: less than the sampler is exact to, and the draws stand as they are; else all are
-simulated and weighted. Where few draws carry the weight, the surrogate is fitted again around them.
+Draws come from a second-order surrogate of the whitened signals: independent ones if it is nearly
+normal within the ranges, otherwise by emcee. Full simulations of some draws show how far importance
+weights would move the answer. If that is less than the sampler's own error, the draws are kept as
+they are. Otherwise all are simulated and weighted. If few draws carry the weight, the surrogate is
+fitted again around them.
 """
 
 from __future__ import annotations
@@ -44,38 +45,39 @@ from bayesbl.sampling.importance import (
 DRAWS = 1000
 """Draws over all ensembles."""
 CHECKED = 100
-"""Of them simulated in full first: weights that scatter by s move a mean by s/10 at random."""
+"""Number of draws that are first simulated in full: weights with standard deviation s move a mean
+by s/10 at random."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
-"""Effective share of the draws from which on weights correct the surrogate."""
+"""Effective share of the draws above which weights correct the surrogate."""
 FEWEST_EFFECTIVE = 100.0
-"""Below it the answer is withheld: the actual level of a 90 % interval is 90 ± 3 % at 100 draws.
+"""Below it the answer is withheld: at 100 draws, the actual level of a 90 % interval is 90 ± 3 %.
 
-The share of the posterior between two quantiles of n draws has the standard deviation
-√(p (1 − p)/n), p its level.
+The share of the posterior between two quantiles of n draws has the standard deviation √(p (1 −
+p)/n), with p its level.
 """
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
 TAILS = (0.05, 0.95)
 MATTERS = 0.2
-"""Share of an interval by which an error moves δ or its change too far to be left unsaid."""
+"""Share of an interval by which an error may move δ or its change without being reported."""
 CONTRADICTED_BY_CHANCE = 0.01
-"""Share of true values that contradict by chance what is believed of them."""
+"""Share of true values that contradict their prior by chance."""
 
 Side = Literal["lower", "upper"]
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseOnly:
-    """Draws of prior times likelihood, noise of the recorder alone.
+    """Draws of prior times likelihood with the recorder's noise alone.
 
     Attributes
     ----------
     draws
         Shape (chain, draw, d).
     log_likelihood
-        Of each recording: log density of its rotations, shape (chain, draw, rotation), by the
-        surrogate that the draws are of.
+        For each recording, log density of its rotations by the surrogate, shape (chain, draw,
+        rotation).
     """
 
     draws: FloatArray
@@ -99,23 +101,25 @@ class DirectPosterior:
     Attributes
     ----------
     draws
-        Coordinates as the model's ``unknowns`` have them, shape (chain, draw, d); chain = ensemble.
+        Coordinates in the order of the model's ``unknowns``, shape (chain, draw, d); chain =
+        ensemble.
     chi_square
-        Of each draw, shape (chain, draw); by full simulation where all draws were simulated, before
-        they were widened.
+        χ² of each draw before widening, shape (chain, draw); by full simulation if all draws were
+        simulated.
     effective
-        Effective sample size of all draws by their importance weights, or by those of the checked.
+        Effective sample size of all draws, by their importance weights or those of the checked
+        draws.
     simulated
-        Number of draws that were simulated in full.
+        Number of draws simulated in full.
     refits
-        How often the surrogate was fitted again.
+        Number of further surrogate fits.
     widening
-        90 % interval of each coordinate over that without what impacts scatter by beyond their
-        noise, shape (d,).
+        Ratio of each coordinate's 90 % interval to that without the extra scatter of impacts, shape
+        (d,).
     model_widening
-        The same over that with the bench's laws and parameters as they are, shape (d,).
+        Ratio to that with the bench's laws and parameters held fixed, shape (d,).
     noise_only
-        Before they were widened; ``None`` where nothing was simulated.
+        Draws before widening; ``None`` if nothing was simulated.
     """
 
     fit: SimulatedFit
@@ -130,12 +134,12 @@ class DirectPosterior:
     noise_only: NoiseOnly | None = None
 
     def beyond_tolerance(self, recording: str, level: float) -> dict[str, Any] | None:
-        """What of the bench decides the gap of a recording beyond its tolerance, with the shift of
-        δ; ``None`` where nothing does.
+        """The bench parameter whose tolerance decides a recording's gap, with the shift of δ; or
+        ``None``.
 
-        Where the recordings contradict a tolerance, or a range, the true value may lie beyond. If
-        the value without it would move δ, by the regression of δ on the parameter, further than
-        half its interval, the tolerance and not the recording decides δ.
+        If the recordings contradict a tolerance or range, the true value may lie beyond. The
+        tolerance, and not the recording, decides δ if removing it would shift δ, by the regression
+        of δ on the parameter, by more than half its interval.
         """
         model = self.fit.model
         gap = self.values(GAP, recording).ravel()
@@ -152,18 +156,19 @@ class DirectPosterior:
 
     @property
     def contradicted(self) -> list[Flaw]:
-        """Each value of which the recordings contradict what is stated of it."""
+        """Stated values that the recordings contradict."""
         return [flaw for *_, flaw in _contradicted(self.fit.model, self.draws)]
 
     def contradicted_together(self) -> list[str]:
-        """Names of the stated values that the recordings contradict together, the worst left out.
+        """Names of the stated values that the recordings contradict together, the worst one left
+        out.
 
-        One value of a data sheet may be wrong. Several at once are the work of something that the
-        bench lacks, and δ is as wrong as they are. Of normal priors of covariance S around c, the
-        means x of a posterior of covariance V are off with a covariance of S − V, so
-        (x − c)ᵀS⁻¹(x − c) is a sum of squares with weights 1 − λ, λ the eigenvalues of S⁻¹V: what
-        the recordings hardly tell hardly counts. Empty where that is no more than chance (1 %); the
-        values furthest off first.
+        One value of a data sheet may be wrong. Several together mean that the bench lacks
+        something, and δ is as wrong as they are. For normal priors with covariance S around c, and
+        a posterior with mean x and covariance V, x − c has the covariance S − V. So (x − c)ᵀS⁻¹(x −
+        c) is a sum of squares with weights 1 − λ, λ the eigenvalues of S⁻¹V: values that the
+        recordings hardly show hardly count. Empty if chance explains this (1 %); the largest
+        deviation comes first.
         """
         model = self.fit.model
         at = [
@@ -183,7 +188,7 @@ class DirectPosterior:
         pull = (gain + root.T @ root) @ off
 
         def chance(worst: int) -> float:
-            """Of the others, where nothing is stated of one; by the moments of the sum."""
+            """p-value of the others if one value is not stated, by the moments of the sum."""
             own = [k for k in range(len(at)) if k != worst]
             root = np.linalg.inv(np.linalg.cholesky(stated[np.ix_(own, own)]))
             precision = gain.copy()
@@ -201,7 +206,7 @@ class DirectPosterior:
         return [model.unknowns[at[k]].name for k in order]
 
     def with_model(self, draws: FloatArray) -> DirectPosterior:
-        """With draws (n, d) in place of these, wider for what the bench may lack."""
+        """The posterior with draws (n, d) in place of these, widened by what the bench may lack."""
         factor = self.model_widening * _times_as_wide(self._flat, draws)
         return replace(self, draws=draws.reshape(self.draws.shape), model_widening=factor)
 
@@ -216,9 +221,9 @@ class DirectPosterior:
 
 
 def _log_density(model: SimulatedSignals, surrogate: Surrogate, points: FloatArray) -> FloatArray:
-    """ln of the posterior by the surrogate, (m, d) to (m,)."""
+    """ln posterior density by the surrogate, (m, d) to (m,)."""
     prior, chi_square = model.log_prior(points), surrogate.chi_square(points)
-    # A bench nowhere near the recordings overflows; such a point has no weight.
+    # Far from the recordings χ² overflows; such a point has no weight.
     finite = np.isfinite(chi_square)
     return np.where(finite, prior, -np.inf) - 0.5 * np.where(finite, chi_square, 0.0)
 
@@ -232,24 +237,23 @@ def sample_direct(
     *,
     withheld: bool = False,
 ) -> DirectPosterior:
-    """Posterior around the most probable point, all noise taken for the recorder's.
+    """Sample the posterior around the most probable point, with the recorder's noise alone.
 
     Parameters
     ----------
     withheld
-        The gap will not be told: draws are those of the normal distribution about the optimum, and
-        nothing is simulated.
+        The gap will not be reported: draw from the normal approximation, without simulations.
     progress
         Called with (steps made, steps allowed) at every check.
     simulating
-        Called with (simulations made, simulations to make) before the steps, and after them where
-        the draws are simulated in full.
+        Called with (simulations made, simulations to make) before the steps, and after them if the
+        draws are simulated in full.
     """
     model = fit.model
     as_it_is = np.ones(len(model.unknowns))
     design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
     if withheld:
-        # Of a fit that is far off, the peak may lie where no draw within the ranges comes near it.
+        # The peak of a bad fit may be far from all points within the ranges.
         about = _Local(fit.point, fit.point, fit.covariance)
         return _unsimulated(about, fit, settings, design_seed)
     local = _Local(fit.point, fit.peak(), fit.covariance)
@@ -315,7 +319,7 @@ def sample_direct(
 def _unsimulated(
     local: _Local, fit: SimulatedFit, settings: SamplerSettings, seed: np.random.SeedSequence
 ) -> DirectPosterior:
-    """Draws of the normal distribution about the optimum within its box."""
+    """Draws from the normal approximation at the optimum, within the ranges."""
     model = fit.model
     count = settings.ensembles * (DRAWS // settings.ensembles)
     flat = local.drawn(count, (model.low, model.high), seed)
@@ -337,14 +341,14 @@ def _independent(draws: FloatArray, settings: SamplerSettings, share: float) -> 
 
 
 def widened(posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
-    """With what impacts scatter by beyond their noise, within the ranges of the unknowns.
+    """Add the extra scatter of impacts to the draws, within the ranges of the unknowns.
 
     See :mod:`bayesbl.matching.impacts`.
     """
     model = posterior.fit.model
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     wider = scattered(posterior.fit, flat, _covariance(flat), np.random.default_rng(seed))
-    # Beyond the end of a range there is nothing: such a draw stays as it was.
+    # A draw that would leave its range stays as it was.
     within = np.all((wider > model.low) & (wider < model.high), axis=1)
     wider = np.where(within[:, None], wider, flat)
     widening = _times_as_wide(flat, wider)
@@ -359,7 +363,7 @@ def _times_as_wide(before: FloatArray, after: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _Local:
-    """Roughly where the posterior is: a normal distribution, and a point within the ranges."""
+    """Approximate posterior: a normal distribution, and a point within the ranges."""
 
     centre: FloatArray
     peak: FloatArray
@@ -375,17 +379,17 @@ class _Local:
 
 @dataclass(frozen=True, slots=True)
 class _Check:
-    """Whether weights by full simulation would change what the draws say.
+    """Whether weights by full simulation would change the answer.
 
-    That weights scatter is no harm in itself: the ticks of a sampled controller change χ² from draw
-    to draw as noise does. What counts is whether they move a mean or an end of an interval.
+    Scatter of the weights alone does no harm: the ticks of a sampled controller change χ² from draw
+    to draw like noise. What counts is whether the weights move a mean or an end of an interval.
 
     Attributes
     ----------
     log_weights
-        Of some draws, shape (n,).
+        ln weights of some draws, shape (n,).
     away
-        Their coordinates less the mean of all draws, in standard deviations, shape (n, d).
+        Their coordinates minus the mean of all draws, in standard deviations, shape (n, d).
     within
         Whether they are within the 90 % intervals of all draws, shape (n, d).
     """
@@ -412,8 +416,11 @@ class _Check:
 
     @property
     def is_passed(self) -> bool:
-        """Whether weights would move means and levels of 90 % intervals, in the root mean square
-        over the coordinates, by less than the fewest draws that may be reported scatter."""
+        """Whether weights would move means and interval levels by less than the sampling error.
+
+        Root mean squares over the coordinates, compared with the error of the fewest draws that may
+        be reported.
+        """
         if not np.all(np.isfinite(self.log_weights)) or self.effective_share < GOOD_SHARE:
             return False
         weights = np.exp(self.log_weights - self.log_weights.max())
@@ -426,7 +433,7 @@ class _Check:
 
 @dataclass(frozen=True, slots=True)
 class _Weighted:
-    """Draws of a surrogate with the weights that full simulation gives them.
+    """Draws of a surrogate with importance weights by full simulation.
 
     ``chi_square``, ``log_weights``: shape (chain, draw).
     """
@@ -462,12 +469,12 @@ class _Weighted:
 
     @property
     def failed(self) -> float:
-        """Share of simulations that failed."""
+        """Share of failed simulations."""
         return float(np.mean(~np.isfinite(self.chi_square)))
 
 
 def _log_weights(expected: FloatArray, chi_square: FloatArray) -> FloatArray:
-    """ln w of draws whose χ² (m,) is not what was expected (m,); −∞ where a simulation failed."""
+    """ln weights of draws from simulated and surrogate χ², (m,) each; −∞ if a simulation failed."""
     return np.where(np.isfinite(chi_square), -0.5 * np.nan_to_num(chi_square - expected), -np.inf)
 
 
@@ -479,7 +486,7 @@ def _walk(
     seed: np.random.SeedSequence,
     progress: Progress,
 ) -> Walk:
-    """Independent draws, or emcee until chains are long and the gap's interval stands still."""
+    """Independent draws, or emcee until chains are long and the gap's interval is stable."""
     target, box = partial(_log_density, model, surrogate), (model.low, model.high)
     generator = np.random.default_rng(seed.spawn(1)[0])
     independent = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
@@ -501,15 +508,15 @@ def _walk(
 
 
 def _covariance(points: FloatArray) -> FloatArray:
-    """Of draws, (m, d) to (d, d); never singular, even where draws lie at a bound."""
+    """Covariance of draws, (m, d) to (d, d); never singular, even if draws are at a bound."""
     covariance = np.atleast_2d(np.cov(points.T))
     return np.asarray(covariance + 1e-12 * np.diag(np.diag(covariance) + 1e-30))
 
 
 def _ticks_decide(fit: SimulatedFit, generator: np.random.Generator) -> bool:
-    """Whether draws would carry weight if the controller's ticks were known.
+    """Whether the effective sample size would suffice if the controller's ticks were known.
 
-    Of the normal distribution about the optimum, the ticks as they are there.
+    Draws come from the normal approximation with the ticks fixed at the optimum.
     """
     model = fit.model
     free = [k for k, u in enumerate(model.unknowns) if not u.name.startswith("sampled_control__")]
@@ -534,9 +541,9 @@ def _judge(
     failed: float,
     why: str = "other_shape",
 ) -> Diagnostics:
-    """The usual checks of sampling, and those special to this route, which withhold the answer.
+    """Convergence checks, and checks of this route that withhold the answer.
 
-    ``why``: code of what is to be done where few draws carry the weight.
+    ``why``: code of the advice if few draws carry the weight.
     """
     diagnostics = walked.judged({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
     failures = _at_bound(model, draws)
@@ -556,14 +563,14 @@ def _judge(
 def _contradicted(
     model: SimulatedSignals, draws: FloatArray
 ) -> Iterator[tuple[int, Side, float, Flaw]]:
-    """Each unknown of which the recordings contradict what is believed of it.
+    """Unknowns whose prior the recordings contradict.
 
-    Index, side, how much further it would be without that, in its coordinate, and what it is.
+    Yields index, side, how much further the coordinate would move without its prior, and the flaw.
 
-    Of a normal prior with standard deviation s, the mean of the posterior is off its centre with a
-    variance of s² − v, v that of the posterior; nothing is contradicted while that mean is within
-    the tolerance. A flat one is contradicted where the draws crowd at its edge; its true value is
-    then taken to be half the range further, or at zero.
+    For a normal prior with standard deviation s and a posterior variance v, the posterior mean
+    deviates from the centre with variance s² − v. Nothing is contradicted while this mean is within
+    the tolerance. A flat prior is contradicted if the draws crowd at its edge. The true value is
+    then assumed half the range further, or at zero.
     """
     precision = model.normal_prior.precision
     for i, unknown in enumerate(model.unknowns):
@@ -576,7 +583,7 @@ def _contradicted(
             believed = unknown.sd**2
             low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
             off, variance = float(own.mean()) - unknown.centre, float(own.var(ddof=1))
-            # A variance is known no better by so many draws.
+            # This many draws estimate a variance no better.
             learned_variance = max(believed - variance, math.sqrt(2.0 / own.size) * believed)
             beyond = not low < own.mean() < high
             if beyond and chi2_sf(off**2 / learned_variance, 1.0) < CONTRADICTED_BY_CHANCE / len(
@@ -599,7 +606,7 @@ def _contradicted(
 
 
 def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
-    """Each gap whose posterior is cut by its prior's range."""
+    """Gaps whose posterior is cut off by the prior's range."""
     flaws = []
     for i, unknown in enumerate(model.unknowns):
         if unknown.name != GAP:
@@ -610,7 +617,7 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
             ("lower", np.mean(own < unknown.low + near)),
             ("upper", np.mean(own > unknown.high - near)),
         ):
-            # Where the range begins at no gap there is nothing below.
+            # If the range begins at zero gap, nothing is cut off there.
             if share > AT_BOUND_SHARE and not (side == "lower" and unknown.offset):
                 low, high = unknown.value(np.array([unknown.low, unknown.high])).tolist()
                 flaws.append(Flaw("gap_at_bound", {"side": side, "low": low, "high": high}))

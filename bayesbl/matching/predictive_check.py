@@ -1,8 +1,8 @@
-"""Do simulation and recording agree within noise? The posterior predictive check of a direct fit.
+"""Posterior predictive check: whether simulation and recording agree within noise.
 
 What repeats from rotation to rotation after the fit is not noise. The whitened residuals are
-averaged over the rotations and their power compared, in bands of load orders, with the power that
-does not repeat.
+averaged over the rotations. In bands of load orders, the power of this mean is compared with the
+power that does not repeat.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from bayesbl.probabilities import chi2_isf, chi2_sf, f_sf
 from bayesbl.recording.types import ComplexArray, FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
-"""Highest load order of each band; slow misfit stands out of few orders, fast out of many.
+"""Highest load order of each band. Slow misfit stands out of a few orders, fast misfit out of many.
 
-0 is the mean alone, which is in no other band: motor friction and offsets show there."""
+0 is the mean alone, which is in no other band: motor friction and offsets appear there.
+"""
 
 
 FALSE_ALARM = 0.005
-"""Of the check, over all that it tests."""
+"""False-alarm probability of the whole check."""
 
 CHANCE_EDGES = np.geomspace(1.0, 1e-8, 400)
 CHANCES = 0.5 * (CHANCE_EDGES[1:] + CHANCE_EDGES[:-1])
 CHANCE_WEIGHTS = CHANCE_EDGES[:-1] - CHANCE_EDGES[1:]
-"""Probabilities that an average over a distribution is taken at, dense at the tail where it is
-decided."""
+"""Probabilities at which an average over a distribution is evaluated, dense in the decisive
+tail."""
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatingPower:
-    """What repeats in one channel of one recording, in one band of load orders.
+    """Repeating power in one channel of one recording, in one band of load orders.
 
     Attributes
     ----------
     ratio
-        Power that repeats over the power that noise alone would leave there; about 1 if the bench
-        explains the recording.
+        Repeating power over that of noise alone; about 1 if the bench explains the recording.
     probability
-        Of a ratio as large from noise alone.
+        Probability of at least this ratio from noise alone.
     """
 
     recording: str
@@ -56,7 +56,7 @@ class RepeatingPower:
 
 
 def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
-    """One entry for each recording, channel and band."""
+    """Repeating power of each recording, channel and band."""
     model = fit.model
     parts = model.by_recording(fit.residual)
     by_recording = [
@@ -71,7 +71,7 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     ]
     count = sum(map(len, by_recording))
     for place, entries in enumerate(by_recording):
-        # What no rate of false alarms takes for more than noise needs no closer look.
+        # Entries that no false-alarm rate makes significant need no closer look.
         if any(entry.probability * count < 1.0 for entry in entries):
             by_recording[place] = _looked_at_closer(fit, place, entries)
     return [entry for entries in by_recording for entry in entries]
@@ -80,12 +80,12 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
 def _looked_at_closer(
     fit: SimulatedFit, place: int, entries: list[RepeatingPower]
 ) -> list[RepeatingPower]:
-    """The same entries by what noise in the loop, or rounding, leaves in each band.
+    """The same entries, compared with noise in the loop or with rounding in each band.
 
-    Such noise has its power at the impacts, and where the loop does not hold it down: few values
-    stand for a band, and what is left of them repeats by chance more often. Rounding that may be
-    the same in all rotations is held against its own simulation; whether it goes round is not
-    known, and what either leaves is no disagreement.
+    The power of such noise is at the impacts, and where the loop does not suppress it. So a band
+    has few effective degrees of freedom, and chance exceeds a ratio more often. Rounding that may
+    be the same in all rotations is compared with its own simulation. Whether the loop feeds it back
+    is unknown, so what either case explains is no disagreement.
     """
     observation, noise = fit.model.recordings[place], fit.model.noise[place]
     rows = fit.model.by_recording(fit.residual)[place][:, observation.first_compared :]
@@ -119,13 +119,13 @@ def _looked_at_closer(
 
 
 def _beside_rounding(band: FloatArray, rounded: FloatArray) -> tuple[float, float]:
-    """(ratio, probability) of what repeats over what does not and rounding, all of which may.
+    """(ratio, probability) of the repeating power, against the rest and rounding that may repeat.
 
     ``band``: of the rotations, (r, d); ``rounded``: of rotations of rounding alone, (R, d).
     """
     rotations, degrees = band.shape
     repeats, scatter = _powers(band)
-    # The variance of what does not repeat, as likely as the scatter of few rotations has it.
+    # Equally likely values of the non-repeating variance, given the scatter of few rotations.
     variances = scatter / chi2_isf(1.0 - CHANCES, degrees * (rotations - 1))
     steady = rotations * float(np.mean(np.sum(rounded**2, axis=1)))
     expected = degrees * variances + steady
@@ -138,7 +138,7 @@ def _beside_rounding(band: FloatArray, rounded: FloatArray) -> tuple[float, floa
 
 
 def _powers(band: FloatArray) -> tuple[float, float]:
-    """Of what repeats in rotations (r, d), and of what scatters about it."""
+    """Power of the mean of rotations (r, d), and of the scatter about it."""
     mean = band.mean(axis=0)
     return len(band) * float(np.sum(mean**2)), float(np.sum((band - mean) ** 2))
 
@@ -146,9 +146,10 @@ def _powers(band: FloatArray) -> tuple[float, float]:
 def _by_band(
     row: FloatArray, observation: Observed, *, scatters: bool
 ) -> list[tuple[int, float, float]]:
-    """Of what repeats; of what is slow where nothing does, or one cycle would have to scatter.
+    """Repeating power by band, or slow power if the row does not repeat or holds less than two
+    cycles.
 
-    Without its begin a motion of two cycles has less than two that are compared.
+    Without its start, a motion of two cycles has less than two that are compared.
     """
     if not observation.repeats:
         return _slow(row, observation.lag, scatters=scatters)
@@ -158,8 +159,8 @@ def _by_band(
 
 
 def standing_out(entries: Sequence[RepeatingPower]) -> list[RepeatingPower]:
-    """Entries that noise does not explain, at a family-wise false-alarm rate (Bonferroni)."""
-    # What has no probability stands out too.
+    """Significant entries, at a family-wise false-alarm rate (Bonferroni)."""
+    # An undefined probability counts as significant.
     return [entry for entry in entries if not entry.probability * len(entries) > FALSE_ALARM]
 
 
@@ -169,17 +170,18 @@ def agrees(entries: Sequence[RepeatingPower]) -> bool:
 
 
 def is_explained(fit: SimulatedFit) -> bool:
-    """Whether nothing repeats that is not noise."""
+    """Whether noise explains everything that repeats."""
     return agrees(disagreements(fit))
 
 
 def _spectrum(turns: FloatArray) -> ComplexArray:
-    """Of rotations (r, lag) by order; whitened noise has a power of two, of one in the mean."""
+    """Spectrum of rotations (r, lag) by order; whitened noise has the power two, and one in the
+    mean."""
     return np.asarray(np.fft.rfft(turns, axis=1) / np.sqrt(turns.shape[1] / 2.0))
 
 
 def _band(spectrum: ComplexArray, highest: int) -> FloatArray:
-    """Values of a band, (r, degrees of freedom): of whitened noise standard normal."""
+    """Values of a band, (r, degrees of freedom): standard normal for whitened noise."""
     if highest == 0:
         return np.asarray(spectrum[:, :1].real / np.sqrt(2.0))
     band = spectrum[:, 1 : 1 + min(highest, spectrum.shape[1] - 2)]
@@ -189,7 +191,7 @@ def _band(spectrum: ComplexArray, highest: int) -> FloatArray:
 def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, float, float]]:
     """(highest order, ratio, probability) for each band.
 
-    ``scatters``: what noise leaves is measured by its scatter between rotations, not taken for 1.
+    ``scatters``: estimate the noise power from the scatter between rotations, instead of taking 1.
     """
     turns = whole_rotations(row, lag)
     rotations = len(turns)
@@ -209,7 +211,7 @@ def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, 
 
 
 def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> list[tuple[int, float, float]]:
-    """The same of a motion that does not repeat: its slow power over that of the fastest half.
+    """The same for a motion that does not repeat: its slow power over that of the fastest half.
 
     The bands are in cycles per quarter of the recording; whitened noise has the same power in all.
     """

@@ -1,8 +1,9 @@
-"""Recordings beside their simulation: what the bench predicts as a function of what is unknown.
+"""Predictions of the bench as a function of the unknowns, compared with recordings.
 
 The direct posterior of δ and the search for missing effects both build on this. Unknowns are the
 gap, each recording's start angle, bench parameters within their tolerance and parameters of
-effects; a point is an array of their coordinates, ln δ for the gap and the value itself elsewhere.
+effects. A point is an array of their coordinates: ln δ for the gap, and the value itself for the
+others.
 """
 
 from __future__ import annotations
@@ -39,14 +40,15 @@ GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
 REFERENCE_DELAY = "reference_delay_s"
 SMALLEST_GAP_RAD = 1e-5
-"""That is called a gap: makers of precision reducers state 0.1′ of play, 0.0145 mrad, at best."""
+"""Smallest angle that counts as a gap: makers of precision reducers state 0.1′ of play, 0.0145
+mrad, at best."""
 MOST_DELAY_S = 0.02
-"""Some cycles of the slowest usual bus."""
+"""A few cycles of the slowest usual bus."""
 TURN_SD_RAD = 2.0 * math.pi / math.sqrt(12.0)
-"""Standard deviation of an angle that may be any."""
+"""Standard deviation of a uniformly distributed angle."""
 
 FEW_POINTS = 16
-"""Below which recordings are simulated at once."""
+"""Number of points below which recordings are simulated in parallel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +65,14 @@ class Unknown:
     centre, sd
         Gaussian prior within that range; an infinite sd for none.
     recording
-        Name of the recording it belongs to; ``None`` if all share it.
+        Name of its recording; ``None`` if all recordings share it.
     logarithmic
-        The coordinate is ln of the value.
+        Whether the coordinate is ln of the value.
     offset
-        Of a logarithmic one: the coordinate is ln(value + offset), so that it reaches zero.
+        For a logarithmic coordinate ln(value + offset), so that the value can be zero.
     added
-        The value is added to what the recording has without it: to ``reference`` as it is, to
-        another in proportion.
+        Whether the value is added to the recording's value without it: unchanged at ``reference``,
+        otherwise in proportion.
     reference
         Zero for the bench's value.
     """
@@ -93,37 +95,37 @@ class Unknown:
 
     @property
     def label(self) -> str:
-        """Name, with the recording where it belongs to one."""
+        """Name, followed by the recording if it belongs to one."""
         name = f"drift of {self.name}" if self.added else self.name
         return name if self.recording is None else f"{name} ({self.recording})"
 
     def value(self, coordinate: FloatArray) -> FloatArray:
-        """From the coordinate to the value."""
+        """Convert the coordinate to the value."""
         return np.exp(coordinate) - self.offset if self.logarithmic else coordinate
 
     def coordinate(self, value: FloatArray) -> FloatArray:
-        """From the value to the coordinate; −∞ below what the coordinate reaches."""
+        """Convert the value to the coordinate; −∞ below its range."""
         if not self.logarithmic:
             return value
         with np.errstate(divide="ignore"):
             return np.log(np.maximum(value + self.offset, 0.0))
 
     def slope(self, value: FloatArray) -> FloatArray:
-        """Of the value by the coordinate, at a value."""
+        """Derivative of the value by the coordinate, at a value."""
         return value + self.offset if self.logarithmic else np.ones_like(value)
 
     @property
     def middle(self) -> float:
-        """Centre of the prior, or the middle of the range; 0 of what has neither."""
+        """Centre of the prior, or the middle of the range; 0 if it has neither."""
         if math.isfinite(self.sd) or not math.isfinite(self.high - self.low):
             return self.centre
         return 0.5 * (self.low + self.high)
 
     @property
     def prior_sd(self) -> float:
-        """Standard deviation of the prior, a flat one's included.
+        """Standard deviation of the prior, whether normal or flat.
 
-        An unknown with neither range nor other prior is an angle, flat over a turn.
+        An unknown with neither range nor normal prior is an angle, flat over a turn.
         """
         flat = (self.high - self.low) / math.sqrt(12.0)
         known = min(flat, self.sd)
@@ -133,35 +135,36 @@ class Unknown:
 def gap_unknown(low_rad: float, high_rad: float, recording: str | None = None) -> Unknown:
     """δ with a log-uniform prior; from zero with the density 1/(δ + 0.01 mrad), which is proper.
 
-    Of one recording; of all without ``recording``.
-    Below :data:`SMALLEST_GAP_RAD` signals are linear in δ, far above in ln δ.
+    It belongs to one recording, or to all if ``recording`` is ``None``. Signals are linear in δ
+    below :data:`SMALLEST_GAP_RAD`, and in ln δ far above.
     """
     offset = 0.0 if low_rad > 0.0 else SMALLEST_GAP_RAD
     low, high = math.log(low_rad + offset), math.log(high_rad + offset)
-    # Rounding leaves no gap below zero.
+    # Rounding must not make a gap negative.
     low = low if low_rad > 0.0 else math.nextafter(low, high)
     return Unknown(GAP, low, high, recording=recording, logarithmic=True, offset=offset)
 
 
 def start_angle_unknown(recording: str) -> Unknown:
-    """Start angle of one recording: somewhere in a turn, for where gravity does not show it."""
+    """Start angle of one recording, with a prior as wide as a turn, in case gravity does not show
+    it."""
     return Unknown(START_ANGLE, centre=math.pi, sd=TURN_SD_RAD, recording=recording)
 
 
 def reference_delay_unknown(recording: str) -> Unknown:
-    """How much later a motion's loop was given its reference than the recording says, flat.
+    """Delay of a motion's reference in the loop relative to the recorded one, with a flat prior.
 
-    A controller holds its reference from sample to sample and gets it over a bus.
+    A controller holds its reference from sample to sample and receives it over a bus.
     """
     return Unknown(REFERENCE_DELAY, -MOST_DELAY_S, MOST_DELAY_S, recording=recording)
 
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:
-    """Every bench parameter not known exactly: as identified, or within its tolerance.
+    """Bench parameters that are not known exactly, as identified or within their tolerances.
 
-    A tolerance is a normal prior with the standard deviation of a uniform one, as a sheet's values
-    lie a little beyond theirs now and then: of the logarithm, because what no recording shows, such
-    as one factor on all torques and the torque constant, is a straight line among logarithms.
+    A tolerance becomes a normal prior with the standard deviation of a uniform one, because values
+    slightly outside occur. It is a prior of the logarithm: a combination that no recording shows,
+    such as one factor on all torques and the torque constant, is a straight line among logarithms.
     A value that may be zero is uniform within its tolerance.
     """
     unknowns, joint = [], bench.identified
@@ -179,7 +182,7 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
 
 
 def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
-    """Effect parameters of the bench that carry a standard deviation, Gaussian; phases, flat.
+    """Effect parameters of the bench with a standard deviation (Gaussian prior) and phases (flat).
 
     The motor's angle at the first sample differs between recordings, and the phase with it.
     """
@@ -201,10 +204,10 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
 
 
 def shift_unknowns(learned: LearnedTerm, recordings: Sequence[str]) -> list[Unknown]:
-    """Where the variable of what was learned begins, of every recording whose own zero it has."""
+    """Shift of a learned term in every recording, if each has its own zero of the variable."""
     if not learned.belongs_to_recordings:
         return []
-    # Twice around: the best place is never at the end of the range.
+    # Two periods, so that the best shift is never at the end of the range.
     reach = learned.period
     return [Unknown(learned.shift_slot, -reach, reach, recording=name) for name in recordings]
 
@@ -218,9 +221,9 @@ class NormalPrior:
     centre
         c, shape (d,).
     sd
-        s of each unknown alone, shape (d,); infinite where it has none, or one with others.
+        s of each unknown, shape (d,); infinite for no prior or a joint one.
     together
-        W, shape (k, d), of those that have one together.
+        W, shape (k, d), of the joint prior.
     """
 
     centre: FloatArray
@@ -235,9 +238,9 @@ class NormalPrior:
         shared: Sequence[str | None],
         joint: JointNormal | None,
     ) -> NormalPrior:
-        """Made of what each unknown states of itself, and of the bench's joint prior.
+        """Combine the unknowns' own priors and the bench's joint prior.
 
-        ``shared``: names of those that all recordings share, ``None`` for others.
+        ``shared``: names of the unknowns that all recordings share, ``None`` for others.
         """
         joined = [] if joint is None else [i for i, n in enumerate(shared) if n in joint.names]
         together = np.zeros((len(joined), centre.size))
@@ -249,25 +252,27 @@ class NormalPrior:
 
     @property
     def precision(self) -> FloatArray:
-        """Inverse covariance, 0 for what has no normal prior, shape (d, d)."""
+        """Inverse covariance, 0 for unknowns without a normal prior, shape (d, d)."""
         return np.asarray(np.diag(self.sd**-2.0) + self.together.T @ self.together)
 
     def deviations(self, point: FloatArray) -> FloatArray:
-        """Centre minus coordinate, whitened, shape (k,)."""
+        """Whitened centre − coordinate, shape (k,)."""
         alone = (self.centre - point) / self.sd
         return np.concatenate([alone[np.isfinite(self.sd)], self.together @ (self.centre - point)])
 
     def log_density(self, points: FloatArray) -> FloatArray:
-        """Up to a constant, shape (m, d) to (m,)."""
+        """ln density up to a constant, (m, d) to (m,)."""
         away = points - self.centre
         density = -0.5 * ((away / self.sd) ** 2).sum(axis=1)
         return np.asarray(density - 0.5 * ((away @ self.together.T) ** 2).sum(axis=1))
 
     def log_densities(self, points: FloatArray) -> FloatArray:
-        """Of each coordinate given those before it, up to constants, shape (m, d) to (m, d)."""
+        """ln density of each coordinate given those before it, up to constants, (m, d) to (m,
+        d)."""
         away = points - self.centre
         densities = -0.5 * (away / self.sd) ** 2
-        # W is the inverse of a lower triangular root: a row for each coordinate, given the former.
+        # W is the inverse of a lower triangular root: each row conditions on the coordinates
+        # before.
         joined = np.flatnonzero(np.any(self.together != 0.0, axis=0))
         densities[:, joined] -= 0.5 * (away @ self.together.T) ** 2
         return np.asarray(densities)
@@ -275,27 +280,27 @@ class NormalPrior:
 
 @dataclass(eq=False)
 class SimulatedSignals:
-    """What the bench predicts for some recordings, at many points at once.
+    """Predictions of the bench for several recordings, at many points at once.
 
     Attributes
     ----------
     noise
-        Of each recording: makes residuals independent and standard normal.
+        Noise of each recording; it makes residuals independent and standard normal.
     workers
-        Threads, of each recording where they are simulated at once; no number depends on it.
+        Number of threads; no result depends on it.
     settings
-        What is known besides the bench, by name, such as ``gap_rad``.
+        Known values besides the bench, by name, such as ``gap_rad``.
     recent
-        Simulations that another comparison of the same recordings has made.
+        Cache of simulations, shared with other models of the same recordings.
     white_recordings
-        Whitened channels of each recording, from another comparison under the same noise.
+        Whitened channels of each recording, from another model with the same noise.
     normal_prior
-        Of the unknowns that have one.
+        Normal prior of the unknowns that have one.
 
     Raises
     ------
     ValueError
-        If two recordings have one name: each would be given the other's start angle.
+        If two recordings have the same name: they would get each other's start angle.
     """
 
     bench: Bench
@@ -338,7 +343,8 @@ class SimulatedSignals:
         return [u.key for u in self.unknowns].index((name, recording))
 
     def place_of(self, name: str, recording: str) -> int | None:
-        """Index of a recording's own unknown, or of that of all; ``None`` where it is known."""
+        """Index of a recording's own unknown, or of the shared one; ``None`` if the value is
+        known."""
         keys = [u.key for u in self.unknowns]
         return next((keys.index((name, r)) for r in (recording, None) if (name, r) in keys), None)
 
@@ -348,7 +354,7 @@ class SimulatedSignals:
         return [i for i, u in enumerate(self.unknowns) if u.recording in (None, name)]
 
     def beside(self, bench: Bench, unknowns: Sequence[Unknown]) -> SimulatedSignals:
-        """The comparison of another bench with further unknowns, all else alike."""
+        """The same model with another bench and further unknowns."""
         return replace(
             self,
             bench=bench,
@@ -358,19 +364,19 @@ class SimulatedSignals:
 
     @property
     def size(self) -> int:
-        """Whitened residuals of all recordings, N."""
+        """Number of whitened residuals of all recordings, N."""
         return sum(observation.size for observation in self._white_recordings)
 
     def samples_of(self, recording: int) -> int:
-        """Whitened residuals of one recording, over its channels."""
+        """Number of whitened residuals of one recording, over its channels."""
         return self._white_recordings[recording].size
 
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
-        """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
+        """Predicted channels of one recording, (m, d) to (m, c, n); nan if a run fails."""
         return continued(self.stretch(points, recording), self.recordings[recording].samples)
 
     def stretch(self, points: FloatArray, recording: int) -> FloatArray:
-        """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
+        """Like :meth:`signals`, but a single rotation if all are alike, (m, c, lag)."""
         observation = self.recordings[recording]
         matrix = self._benches(np.atleast_2d(points), observation)
         accuracy = accuracy_rpm(self.noise[recording], observation)
@@ -389,12 +395,12 @@ class SimulatedSignals:
         )
 
     def require(self, point: FloatArray) -> None:
-        """Nothing, where all recordings can be simulated at a point (d,).
+        """Check that all recordings can be simulated at a point (d,).
 
         Raises
         ------
         BenchError
-            That says why one of them cannot be.
+            With the reason, if one cannot.
         """
         for observation, noise in zip(self.recordings, self.noise, strict=True):
             matrix = self._benches(point[None], observation)
@@ -408,12 +414,13 @@ class SimulatedSignals:
             )
 
     def vectors(self, points: FloatArray, observation: Observed, **given: float) -> FloatArray:
-        """Parameters of a recording's bench at points, (m, d) to (m, SLOTS), these values given."""
+        """Bench parameters for a recording at points, (m, d) to (m, SLOTS), with ``given``
+        values."""
         matrix = self.bench.vector(**(self.settings_of(points, observation) | given))
         return matrix if len(matrix) == len(points) else np.repeat(matrix, len(points), axis=0)
 
     def _benches(self, points: FloatArray, observation: Observed) -> FloatArray:
-        """What a recording's simulations run with, (m, d) to (m, SLOTS)."""
+        """Parameters that a recording's simulations use, (m, d) to (m, SLOTS)."""
         matrix = self.vectors(points, observation)
         if observation.begin_s:
             matrix = after(matrix, observation.begin_s)
@@ -422,9 +429,10 @@ class SimulatedSignals:
         )
 
     def settings_of(self, points: FloatArray, observation: Observed) -> dict[str, Any]:
-        """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.
+        """Values that replace the bench's for a recording, as :meth:`Bench.vector` takes them.
 
-        What is known of the recording goes before what all share, its own unknowns before both.
+        Known values of the recording take precedence over shared unknowns, and its own unknowns
+        over both.
         """
         settings: dict[str, Any] = {}
         if observation.motion is None:
@@ -441,9 +449,9 @@ class SimulatedSignals:
             if unknown.added:
                 nominal = unknown.reference or self.bench.value(unknown.name)
                 base = settings.get(unknown.name, nominal)
-                # In proportion, so that no drift takes a value below zero that a tolerance lowers.
+                # In proportion, so that drift cannot make a value negative that a tolerance lowers.
                 value = base + value * (base / nominal if nominal else 1.0)
-                # What all share may have moved too, and a drift found before is then too far.
+                # The shared value may have moved too, and make an earlier drift too large.
                 value = np.clip(value, *simulated_range(unknown.name))
             settings[unknown.name] = value
         return settings
@@ -458,7 +466,7 @@ class SimulatedSignals:
         def fill(recording: int) -> None:
             self._whiten_into(parts[recording], points, recording)
 
-        # A batch has rows enough for all threads, and several at once would take more memory.
+        # A batch has enough rows for all threads, and parallel batches would take more memory.
         in_threads(fill, range(len(parts)), self.workers if len(points) < FEW_POINTS else 1)
         return white
 
@@ -471,16 +479,16 @@ class SimulatedSignals:
         ]
 
     def rotations(self, recording: int) -> NDArray[np.int64]:
-        """Number of the rotation, or cycle, that each whitened sample is in, shape (n − p,).
+        """Rotation or cycle number of each whitened sample, shape (n − p,).
 
-        A rest shorter than half a rotation belongs to the one before it.
+        A remainder shorter than half a rotation belongs to the rotation before it.
         """
         observation = self.recordings[recording]
         number = np.arange(self.noise[recording].order, observation.samples) // observation.lag
         return np.minimum(number, max(round(observation.samples / observation.lag) - 1, 0))
 
     def rotation_log_density(self, recording: int) -> FloatArray:
-        """ln of the density of each rotation of a recording where its χ² is 0, (rotation,)."""
+        """ln density of each rotation of a recording at χ² = 0, (rotation,)."""
         observation, noise, rotation = (
             self.recordings[recording],
             self.noise[recording],
@@ -493,7 +501,7 @@ class SimulatedSignals:
         return np.asarray(-each * counts)
 
     def _counts(self, recording: int) -> BoolArray:
-        """Whitened samples that nothing excluded is in, shape (n − p,)."""
+        """Whitened samples without excluded ones, shape (n − p,)."""
         observation, order = self.recordings[recording], self.noise[recording].order
         if observation.excluded is None:
             return np.ones(observation.samples - order, dtype=bool)
@@ -515,7 +523,7 @@ class SimulatedSignals:
     def _whiten_into(self, out: FloatArray, points: FloatArray, recording: int) -> None:
         observation, noise = self.recordings[recording], self.noise[recording]
         begun = self.stretch(points, recording)
-        # Whitening is linear, and what repeats still repeats when it is whitened.
+        # Whitening is linear, so a repeating signal still repeats after it.
         made = noise.whiten(
             continued(begun, min(begun.shape[2] + noise.order, observation.samples))
         )
@@ -545,7 +553,7 @@ class SimulatedSignals:
         return np.asarray(densities - points * of_value)
 
     def prior_draws(self, count: int, generator: np.random.Generator) -> FloatArray:
-        """Draws of the prior, shape (count, d); of an angle without one, anywhere in a turn."""
+        """Draws of the prior, shape (count, d); an angle without a prior is uniform over a turn."""
         low, high = self.low, self.high
         endless = ~np.isfinite(high - low)
         flat_low, flat_high = np.where(endless, 0.0, low), np.where(endless, 2.0 * np.pi, high)
@@ -563,7 +571,7 @@ class SimulatedSignals:
         return points
 
     def prior_precision(self) -> FloatArray:
-        """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""
+        """Inverse prior covariance, with flat priors as normal ones, shape (d, d)."""
         own = np.array([u.prior_sd**-2.0 for u in self.unknowns])
         together = self.normal_prior.together
         own[np.any(together != 0.0, axis=0)] = 0.0

@@ -1,8 +1,8 @@
-"""χ² between recordings and their simulation near a point, at the cost of a small matrix.
+"""Fast approximation of χ² between recordings and simulation near a point.
 
-The whitened signals are smooth there: a second-order polynomial of the unknowns describes them, and
-χ², the sum of their squares, is a quartic that never falls below zero. Each recording depends on
-its own unknowns only and has a polynomial of its own.
+The whitened signals are smooth there, so a second-order polynomial of the unknowns describes them.
+χ², the sum of their squares, is a quartic that is never negative. Each recording depends only on
+its own and the shared unknowns, and has its own polynomial.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from bayesbl.recording.types import FloatArray
 
 POINTS_PER_TERM = 1.5
 REACH = 2.0
-"""Times the distance of the furthest point: of a normal posterior nothing lies beyond."""
+"""Range of validity, relative to the furthest point: a normal posterior has nothing beyond."""
 LEAST_REACH = 10.0
-"""Standard deviations: an edge of a range may leave an exponential, whose tail is long."""
+"""Smallest range in standard deviations: at the edge of a range, the posterior may have an
+exponential tail."""
 AT_ONCE = 64
-"""Simulated recordings held in memory together."""
+"""Number of simulated recordings in memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
     """One recording: r(u) = Cᵀφ(u) with φ = (1, u, uuᵀ), so χ² = φᵀ(CCᵀ)φ.
 
-    ``index``: the recording's unknowns; u = ``inverse_root`` (x − ``centre``). Beyond ``reach`` of
-    |u| the polynomial says nothing. ``gram`` is CCᵀ, ``by_rotation`` its terms from each rotation,
-    shape (rotation, p, p).
+    ``index``: the recording's unknowns; u = ``inverse_root`` (x − ``centre``). The polynomial is
+    invalid where |u| exceeds ``reach``. ``gram`` is CCᵀ, and ``by_rotation`` holds its terms from
+    each rotation, shape (rotation, p, p).
     """
 
     index: NDArray[np.int64]
@@ -62,16 +63,17 @@ class Surrogate:
     parts: tuple[_Part, ...]
 
     def chi_square(self, points: FloatArray) -> FloatArray:
-        """Shape (m, d) to (m,); infinite far from where it was made."""
+        """χ², shape (m, d) to (m,); infinite outside the range of validity."""
         return np.asarray(np.sum([part.chi_square(points) for part in self.parts], axis=0))
 
     def chi_square_by_rotation(self, points: FloatArray) -> list[FloatArray]:
-        """Of each recording, shape (m, d) to (m, rotation); see ``SimulatedSignals.rotations``."""
+        """χ² of each recording, shape (m, d) to (m, rotation); see
+        ``SimulatedSignals.rotations``."""
         return [part.chi_square_by_rotation(points) for part in self.parts]
 
 
 def points_needed(model: SimulatedSignals) -> int:
-    """How many points :func:`regress` needs for its polynomials."""
+    """Number of points that :func:`regress` needs for its polynomials."""
     largest = max(len(model.places_in(i)) for i in range(len(model.recordings)))
     return math.ceil(POINTS_PER_TERM * (1 + largest + largest * (largest + 1) // 2))
 
@@ -83,15 +85,15 @@ def regress(
     covariance: FloatArray,
     progress: Progress = silent,
 ) -> tuple[FloatArray, Surrogate]:
-    """Full simulations at some points: χ² at each, and the polynomials through them.
+    """Simulate at some points and fit the polynomials.
 
     Parameters
     ----------
     points
         Shape (m, d), m at least :func:`points_needed`.
     centre, covariance
-        Roughly those of the points, shapes (d,) and (d, d): the scale on which the polynomials are
-        well-conditioned.
+        Approximate mean and covariance of the points, shapes (d,) and (d, d). On this scale, the
+        polynomials are well conditioned.
     progress
         Called with (simulations made, simulations to make), of one recording each.
 
@@ -120,7 +122,7 @@ def regress(
             right += phi.T @ residual
             made = i * len(points) + min(begin + AT_ONCE, len(points))
             progress(made, len(points) * len(model.recordings))
-        # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
+        # C = A⁺B, but only CCᵀ is needed, so all matrices stay small.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         channels = len(model.recordings[i].signals)
         rotation = np.tile(model.rotations(i), channels)
@@ -133,13 +135,13 @@ def regress(
 
 
 def simulated_chi_square(model: SimulatedSignals, points: FloatArray) -> FloatArray:
-    """χ² at some points by full simulation, (m, d) to (m,); nan where it fails."""
+    """χ² at some points by full simulation, (m, d) to (m,); nan if it fails."""
     pieces = np.array_split(points, -(-len(points) // AT_ONCE))
     return np.concatenate([_sums_of_squares(model.whitened(piece)) for piece in pieces])
 
 
 def _sums_of_squares(residuals: FloatArray) -> FloatArray:
-    """Of each row, (m, N) to (m,)."""
+    """Sum of squares of each row, (m, N) to (m,)."""
     return np.asarray(np.einsum("mn,mn->m", residuals, residuals))
 
 

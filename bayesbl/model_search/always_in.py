@@ -1,21 +1,19 @@
-"""Marginalise, never select: laws that bias δ before they show in the residuals, and drift.
+"""Marginalise, never select, laws that bias δ before they show in the residuals; and drift.
 
 No test at any level detects a law that moves δ by two standard deviations and the residuals by one.
-So its presence is not tested. Its size is marginalised, with a prior of its usual size
-(:attr:`bayesbl.bench.effect_declaration.Effect.always_in`). All snapshots share one size of a law.
-Each snapshot but the first also has its own deviation from it, as for everything that drifts
+So its presence is not tested: its size is marginalised, with a prior of its usual size
+(:attr:`bayesbl.bench.effect_declaration.Effect.always_in`). All snapshots share this size. Each but
+the first also has its own deviation, as for everything that drifts
 (:mod:`bayesbl.bench.parameters`). So the change between snapshots stays sharp where possible.
 
-Something may also have been changed between snapshots: people change payload, gains, filters and
-the recorder; damage changes other parameters; a cable may pull. These are hypotheses with a small
-probability and a wide size, averaged over. One cause may change several parameters. A change of
-gravity's torque comes with a change of inertia, although the visible part of it may look like
-drift.
+Between snapshots, people may change payload, gains, filters and the recorder; damage may change
+other parameters; a cable may pull. These are hypotheses with a small probability and a wide size,
+averaged over. One cause may change several parameters: gravity's torque changes together with the
+inertia, although the visible part may look like drift.
 
-Everything is linear at a fit (:mod:`bayesbl.model_search.linear`). A term whose size is far from
-its value in the fit becomes an unknown of the fit, fitted and sampled like any other; the others
-stay linear. Laws that act alike may be far from zero together although none is so alone. Then the
-one that explains most by itself becomes an unknown.
+Everything is linear at a fit (:mod:`bayesbl.model_search.linear`). A term far from its value in the
+fit becomes one of its unknowns; the others stay linear. Laws that act alike may be far from zero
+together although none is alone. Then the one that explains most by itself becomes an unknown.
 """
 
 from __future__ import annotations
@@ -52,8 +50,8 @@ from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 SEEN_STEP = 4.0
-"""Change of the signals over a derivative's step, in standard deviations of noise. A smaller change
-drowns in the simulator's own error; a larger one is distorted by curvature."""
+"""Change of the signals over a derivative's step, in standard deviations of noise: a smaller one
+drowns in the simulator's error, a larger one suffers from curvature."""
 
 FIRST_STEP, LARGEST_STEP = 0.3, 2.0
 """Steps of derivatives, in usual sizes, changes or drift budgets."""
@@ -71,18 +69,16 @@ CHANGED_TOGETHER: dict[str, tuple[str, ...]] = {
 CAUSES = CHANGED_TOGETHER | {
     name: (name,) for name in CORRECTABLE_PARAMETERS if name != "gravity_torque_nm"
 }
-"""Bench parameters that each cause may change. The inertia changes alone with the posture of the
-axes behind the joint. Gravity changes with a mass, so never alone. Effects declare their own
-changes."""
+"""Bench parameters that each cause may change. Inertia changes alone with the posture of the axes
+behind the joint; gravity changes with a mass, so never alone. Effects declare their own changes."""
 
 CHANGED_SHARE = 0.1
 """Usual relative size of a change that is not drift."""
 
 CHANGED = 0.05
-"""Prior probability that one cause, unreported, changed something before a snapshot. A judgement:
-with 14 causes, it leaves half of all joints unchanged. If the data support no change, it costs
-nothing. If drift explains a change nearly as well, it decides how much of the interval the change
-gets."""
+"""Prior probability of one unreported cause before a snapshot. A judgement: with 14 causes, half of
+all joints are unchanged. It costs nothing if the data support no change. If drift explains a change
+nearly as well, it decides the change's share of the interval."""
 
 MOST_CHANGED = 3
 """Largest number of causes in one set."""
@@ -96,8 +92,7 @@ unknown of the fit."""
 
 MOST_AGREEING = 2.0
 """Largest χ² per sample of a fit that may agree with the recordings: 1 by the recorder's noise,
-more by noise fed back by the loop and by rounding that repeats. A fit above it explains nothing,
-and the recordings need another question."""
+more by noise in the loop and repeating rounding. A fit above it explains nothing."""
 
 ABSENT = 0.5
 """Prior probability that a law which a joint either has or has not is absent. A judgement: even
@@ -126,17 +121,17 @@ EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
 USEFUL_RATIO, USEFUL_LEVEL = 2.0, 0.9
 """Ratio of the interval's ends beyond which it says too little about a gap, and the interval's
-level. A judgement: beyond it, a worn joint is not distinguished from one twice as worn."""
+level. A judgement: it no longer distinguishes a worn joint from one twice as worn."""
 
 WIDTH_DRAWS = 1000
 
 MOST_MORE = 20.0
-"""Excess of χ² over the best loop, up to which another loop is fitted fully. It limits time. Beyond
-it, a loop is at most e⁻¹⁰ as likely by itself, though laws may make up for some of this."""
+"""Excess of χ² over the best loop, up to which another loop is fitted fully. It limits time:
+beyond, a loop is at most e⁻¹⁰ as likely by itself, though laws may make up for some of this."""
 
 MOST_ROUNDS = 6
-"""Largest number of laws freed one after another. It only limits time: the check decides on those
-that are still far."""
+"""Largest number of laws freed in turn. It only limits time: the check decides on any that are
+still far."""
 
 MOST_HALVES = 4
 MOST_TRIES = 20
@@ -152,19 +147,19 @@ class Direction:
     slot
         Parameter name as :meth:`Bench.vector` takes it.
     usual, drift, changed
-        Standard deviations in the slot's unit, 0 for none: of the deviation that all snapshots
-        share, of a snapshot's own drift relative to the first, and of a change made by people.
+        Standard deviations in the slot's unit, 0 for none: of the size that all snapshots share, of
+        a snapshot's own drift from the first, and of a change by people.
     positive
         Whether the shared size has a half-normal prior.
     least
         Smallest size that the simulator takes without tiny steps.
     effect
-        Effect of the catalogue that the bench lacks; ``None`` if it has the slot.
+        Effect that the bench lacks; ``None`` if it has the slot.
     is_fitted
         Whether the bench already has the most probable value.
     instead_of, per_unit
-        An unknown of the fit that is reduced by ``per_unit`` for each unit of this direction, or
-        none. Otherwise the small difference of the two would drown in their common effect.
+        An unknown of the fit that is reduced by ``per_unit`` for each unit of this, or none.
+        Otherwise their common effect would drown their difference.
     """
 
     slot: str
@@ -260,9 +255,8 @@ def _stated_sd(effect: BenchEffect, name: str) -> float:
 def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
     """Add the friction of motor and load, which every joint has and few data sheets state.
 
-    Its prior is half-normal from zero, with the usual size. If the joint turns at one speed, all
-    friction is viscous, and :func:`_dry_shares` allows for a dry part. Friction that the bench
-    already has stays as it is.
+    Half-normal from zero, with the usual size. At a single speed all friction is viscous, and
+    :func:`_dry_shares` allows for a dry part. Friction that the bench already has stays.
     """
     laws = ["viscous"]
     speeds = [r.reference_speed_rpm for r in recordings]
@@ -343,7 +337,7 @@ class Label:
         )
 
     def _others(self) -> Iterator[str]:
-        """Other hypotheses that change one of the same parameters: each parameter is changed once."""
+        """Other hypotheses that change one of the same parameters: each is changed once."""
         own = {d.slot for d in self.directions}
         for cause, slots in CAUSES.items():
             if cause != self.cause and own & set(slots):
@@ -352,9 +346,9 @@ class Label:
     def unknowns(self, vector: FloatArray, sizes: FloatArray) -> list[Unknown]:
         """Unknowns of a fit for this term.
 
-        Their normal prior has the width of a Cauchy prior near these sizes, (k,), in standard
-        deviations. So a law many times larger than usual is not pulled back. ``vector``, (slots,):
-        the values that they deviate from, of the bench or of the first snapshot.
+        Their normal prior is as wide as a Cauchy prior near these sizes, (k,), in standard
+        deviations, so a law many times larger than usual is not pulled back. ``vector``, (slots,):
+        the reference values, of the bench or of the first snapshot.
         """
         unknowns = []
         widths = np.sqrt(0.5 * (1.0 + sizes**2)) * self.scales
@@ -384,11 +378,11 @@ class Beside:
     Attributes
     ----------
     labels
-        One label for each term.
+        One for each term.
     posterior
-        Posterior of the terms' sizes, in standard deviations.
+        Posterior of the sizes, in standard deviations.
     sizes
-        Draws of these sizes, shape (n, columns of all terms).
+        Draws of the sizes, shape (n, columns of all terms).
     residual
         Residual with all terms at their posterior mean, shape (N,).
     lag_s
@@ -410,10 +404,9 @@ class Beside:
         """Terms far from their values in the fit, each with its best size alone in standard
         deviations.
 
-        A term is far if its posterior mean is far from zero, or if a change is almost certain. If
-        only all terms together are significant, every shared law is a candidate. Lags act alike in
-        the linear regime: if one is far, with either sign, all lags are candidates. The term that
-        alone lowers χ² most comes first.
+        A term is far if its mean is far from zero, or if a change is almost certain. If only all
+        terms together are significant, any shared law may be. Lags act alike when linear: if one is
+        far, with either sign, any lag may be. The term that alone lowers χ² most comes first.
         """
         far = {k for k in range(len(self.labels)) if self._is_far(k, self.by_label()[k])}
         shared = {k for k, label in enumerate(self.labels) if label.recording is None}
@@ -452,9 +445,9 @@ class Beside:
     def is_possible(self) -> bool:
         """Whether no law has a surely negative size: then it would stand for something else.
 
-        The size must be negative by more than the error of the law's form, because the other laws
-        are inexact too. For lags only their sum counts, together with the lags in the fit: one part
-        of a loop compensates the delay of another.
+        Negative means by more than the error of the law's form, because the other laws are inexact
+        too. Only the sum of all lags counts, including those in the fit: one part of a loop
+        compensates the delay of another.
         """
         sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), self.lag_s)}
         least: dict[str, float] = {}
@@ -765,9 +758,9 @@ def common_unknowns(first: SimulatedSignals, second: SimulatedSignals) -> Iterat
 def _nearer(rest: Beside, among: Sequence[Direction]) -> list[SimulatedFit]:
     """Free one more of the far terms: the best fit and its rivals; empty if no fit is better.
 
-    Lags of the loop are much alike in the linear regime. So if a lag promises most, or the fit is
-    far off, all lags are fitted, and also controllers with usual periods. If the bench states a
-    sampled controller, its dead time comes before them.
+    Linear lags are much alike. So if a lag promises most, or the fit is far off, all lags are
+    fitted, and also controllers with usual periods. If the bench states a sampled controller, its
+    dead time comes first.
     """
     fit, far = rest.fit.with_derivatives(), rest.far()
     lags = [own for own in far if own[0].is_lag]
@@ -803,10 +796,10 @@ def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | N
 def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
     """Fits with a sampled controller, each from its own dead time: χ² has many minima in it.
 
-    The period is the bench's, or each of the usual ones. The most promising comes first, and the
-    others start from its fit with the same delay. A free period is no unknown of a fit, because χ²
-    changes from tick to tick. There are no fits if a dead time is already stated or fitted. Usual
-    periods are not tried for motions, whose reference is in steps as well.
+    The period is the bench's, or each of the usual ones. The most promising is fitted first; the
+    others start from it with the same delay. The period itself is not fitted, because χ² changes
+    from tick to tick. There are no fits if a dead time is stated or fitted already, nor of usual
+    periods for motions, whose reference is in steps as well.
     """
     moving = any(observation.motion is not None for observation in fit.model.recordings)
     stated = next((e for e in fit.model.bench.effects if e.name == SAMPLED), None)
@@ -879,12 +872,12 @@ def marginalised(
 
     ``rest``: posterior of the terms linearised at the fit.
 
-    If the recordings show that the gap's edges are soft, δ is uncertain by as much: where teeth
-    begin to touch depends on the contact law, which no recording shows. All snapshots share this
-    error.
+    If the recordings show that the gap's edges are soft, δ is as uncertain as these edges are wide:
+    where teeth begin to touch depends on the contact law, which no recording shows. All snapshots
+    share this error.
 
-    Draws stay within the ranges of the unknowns. A draw that would leave them gets another draw's
-    shift, or stays where it was if none fits.
+    A draw that would leave the ranges of the unknowns gets another draw's shift, or stays where it
+    was.
     """
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])

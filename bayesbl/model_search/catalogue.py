@@ -1,8 +1,7 @@
 """Hypotheses about what a bench lacks: the catalogue's effects and wrong bench parameters.
 
-The prior of a hypothesis' size is a Cauchy distribution whose scale is the usual size, or a
-half-Cauchy distribution where physics fixes the sign. Heavy tails allow for effects much stronger
-than usual.
+The prior of a size is a Cauchy distribution with the usual size as its scale, or half of it if
+physics fixes the sign: real effects may be much stronger than usual.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ HARMONICS = (2.0, 3.0, 4.0)
 """Multiples of an order that may be its harmonics. Eccentricities and ripples have harmonics."""
 
 RESONANCE_SPACING = 1.35
-"""Ratio of neighbouring grid frequencies of an elastic part. A fit converges to any frequency
-between two of them."""
+"""Ratio of neighbouring grid frequencies of an elastic part: a fit converges to any frequency
+between."""
 
 USUAL_SHARE = 0.1
 """Usual relative error of a bench parameter."""
@@ -47,21 +46,21 @@ class Candidate:
     Attributes
     ----------
     name
-        Name of the effect or bench parameter.
+        Of the effect or bench parameter.
     unknowns
-        Unknowns to add, named as :meth:`Bench.vector` takes them.
+        Named as :meth:`Bench.vector` takes them.
     starts
-        Starting coordinates besides ``neutral``, shape (s, k). If a start has a nonzero size, the
-        linear promise is based on the change over the full size.
+        Starting points besides ``neutral``, shape (s, k). At a start with a size, the linear
+        promise is based on the change over all of it.
     neutral
         Coordinates at which the candidate changes nothing, shape (k,).
     scanned
         Grids of coordinates by index of the unknown. All combinations are tried where the nominal
         fit may be far off.
     recording
-        Name of the only recording that the candidate acts in; ``None`` for all.
+        The only recording that it acts in; ``None`` for all.
     usual
-        Usual size of each amplitude, shape (k,); NaN for shape parameters.
+        Usual size of each amplitude, shape (k,); NaN for shapes and phases.
     """
 
     name: str
@@ -98,10 +97,10 @@ class Candidate:
     def bars(self, other: Candidate) -> bool:
         """Whether the other candidate cannot be in one set with this one.
 
-        That is so if both are the same, share an unknown, or are the same law but for one term. It
-        is also so if the other's order is a low multiple of this one's, because it may then be a
-        harmonic. A real ripple has several orders, but the bench has one order per effect. Another
-        effect at a harmonic would have no rival, and would be named whatever the harmonic's cause.
+        Both may be the same, share an unknown, or be the same law but for one term. Or the other's
+        order is a low multiple of this one's, and may be its harmonic. A real ripple has several
+        orders, the bench one per effect: another effect at a harmonic would have no rival and be
+        named whatever its cause.
         """
         order, own = other.order, self.order
         return (
@@ -197,17 +196,17 @@ def candidates(
     load_angle_known: bool = False,
     motor_angle_known: bool = False,
 ) -> list[Candidate]:
-    """Make every hypothesis that these recordings can test.
+    """Every hypothesis that these recordings can test.
 
     Parameters
     ----------
     effects
         Names from the catalogue, or all of it.
     peaks
-        Whole motor orders that stand out of the fit's residual. Periodic effects start there;
-        without peaks, there are no periodic candidates.
+        Whole motor orders that stand out of the fit's residual: starts of the periodic effects.
+        Without peaks there are none.
     declared
-        Bench parameters that are unknown anyway, and therefore no candidates.
+        Bench parameters that are unknown anyway, and so no candidates.
     """
     present = {effect.name for effect in bench.effects}
     hypotheses = []
@@ -287,11 +286,11 @@ def _resonances(bench: Bench, effect: Effect, at: Resonance) -> Iterator[FloatAr
 def _near(
     effect: Effect, unknowns: Sequence[Unknown], places: Sequence[FloatArray]
 ) -> Iterator[Unknown]:
-    """Ranges of the unknowns around a grid of starts.
+    """Ranges around a grid of starts.
 
-    The compliance ranges from a quarter of its smallest value to four times its largest, and the
-    oscillating inertia from a quarter of its smallest value. A stiffer part hardly shows, and makes
-    the simulator's steps tiny.
+    Compliances go from a quarter of the smallest to four times the largest, and the oscillating
+    inertia from a quarter of the smallest. A stiffer part hardly shows, and makes the simulator's
+    steps tiny.
     """
     least, most = 0.25 * np.min(places, axis=0), 4.0 * np.max(places, axis=0)
     columns = zip(unknowns, effect.parameters, np.transpose(places), least, most, strict=True)

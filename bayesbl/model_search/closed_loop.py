@@ -533,7 +533,7 @@ class SetSearch:
         """Columns of a candidate. If it acts in one recording only, those of the shared effect, cut
         to its rows.
 
-        So the recording's known values are those of the shared effect.
+        So it does not change values that are known of the recording.
         """
         if candidate.recording is None or candidate.is_periodic:
             return columns_of(fit, candidate)

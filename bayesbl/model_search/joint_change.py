@@ -361,7 +361,7 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
 
 
 def _stated_places(candidate: Candidate) -> list[int]:
-    """Indices of the values that a bench file needs: a period is incomplete without its dead time."""
+    """Indices of the values that a bench file needs, such as a period and its dead time."""
     places = candidate.amplitudes
     if candidate.effect is None:
         return places
@@ -404,7 +404,7 @@ def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParam
 
 
 def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
-    """All candidates that may differ from the bench, in all recordings together and in each alone."""
+    """All that may differ from the bench, in all recordings together and in each alone."""
     model = fit.model
     bench, recordings = model.bench, model.recordings
     # A factor cannot change a parameter of zero: an axis without gravity keeps none.

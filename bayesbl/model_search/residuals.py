@@ -1,12 +1,11 @@
 """Residuals of steady rotations, and what they repeat with: load angle, motor angle or time.
 
-Averaging over load rotations splits a residual into a repeating part and noise. Lines are sought in
-the periodogram |X_k|²/n over time and over the motor angle. The motor does not turn evenly, so a
-line that repeats with the motor angle has side bands over time, and vice versa. The periodogram of
-noise, divided by its floor, has a standard exponential distribution. With a whole gear ratio,
-everything that repeats with the motor also repeats with the load. So a line at a whole load order
-counts as a separate line only if it stands out of the neighbouring load orders. A line is assigned
-to the scale that explains it best in all recordings together, because these have several speeds.
+Averaging over load rotations separates what repeats from noise. Lines are sought in the periodogram
+|X_k|²/n over time and over the motor angle: the motor turns unevenly, so a line on one scale has
+side bands on the other. Over its floor, the periodogram of noise is standard exponential. With a
+whole gear ratio, all that repeats with the motor repeats with the load too. So a line at a whole
+load order is separate only if it stands out of the neighbouring load orders. A line belongs to the
+scale that explains it best in all recordings together, at their several speeds.
 """
 
 from __future__ import annotations
@@ -43,18 +42,17 @@ CLEARLY = 10.0
 """Difference of log likelihoods beyond which a line is sharp on one scale and not on the other."""
 NEIGHBOURS = 4
 STANDS_OUT = 4.0
-"""Ratio to the power of the neighbouring load orders above which a whole load order is a separate
-line."""
+"""Power ratio to the neighbouring load orders above which a whole load order is a separate line."""
 
 MAIN_SHARE = 0.8
 """Share of the significant power that lies between the reported load orders."""
 
 MOST_LINES = 6
-"""Largest number of lines in a channel. Further lines are weaker, and mostly side bands."""
+"""Largest number of lines in a channel; weaker ones are mostly side bands."""
 
 MOST_ORDERS = 3
-"""Largest number of motor orders that are tried as ripples at once. It only limits time: further
-orders are sought in the residual of the best set."""
+"""Number of motor orders tried as ripples at once. It only limits time: others are sought in the
+residual of the best set."""
 
 SIDEBANDS = 2.5
 """Distance in load orders within which a line belongs to a whole motor order: the load torque
@@ -79,16 +77,16 @@ class Unexplained:
     dependence
         What it repeats with, or ``offset``, or ``drift`` (over a recording).
     amplitude
-        Largest over the recordings, in ``unit``: amplitude of the line; for the load angle,
-        amplitude of a sine of the same RMS; the offset; the drift per second.
+        Largest over the recordings, in ``unit``: of the line; for the load angle, of a sine of the
+        same RMS; the offset; the drift per second.
     lowest_order, highest_order
-        Load orders for the load angle, otherwise motor orders; ``nan`` if it has none.
+        Load orders for the load angle, else motor orders; ``nan`` for none.
     frequency_hz
-        Frequency of a line that is, or may be, periodic in time; otherwise ``nan``.
+        Of a line that is or may be periodic in time; else ``nan``.
     recordings
-        Names of the recordings that show it.
+        Names of those that show it.
     chi_squared
-        χ² of the line's test, if the test has one.
+        Of the line's test, if it has one.
     """
 
     channel: str
