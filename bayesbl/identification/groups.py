@@ -171,8 +171,8 @@ def _identified(result: Identification, problem: Problem, bench: Bench) -> xr.Da
     names, joint = list(problem.parameters), bench.identified
     covariance = np.full((len(names), len(names)), np.nan)
     if joint is not None:
-        own = [names.index(name) for name in joint.names]
-        covariance[np.ix_(own, own)] = joint.covariance
+        indices = [names.index(name) for name in joint.names]
+        covariance[np.ix_(indices, indices)] = joint.covariance
     prior = np.array([problem.bench.value(name) for name in names])
     half = np.array([problem.bench.tolerances[name] for name in names])
     values = {
@@ -190,8 +190,8 @@ def _disagreement(result: Identification, problem: Problem) -> DisagreementTable
 
     An implausible data sheet is not simulated: ``final`` replaces it, so the two do not differ.
     """
-    own = set(problem.parameters)
-    unknowns = [u for u in problem.unknowns if u.name not in own]
+    identified = set(problem.parameters)
+    unknowns = [u for u in problem.unknowns if u.name not in identified]
     before = result.final
     if is_plausible(problem):
         sheet = fit_aligned(problem.bench, problem.used, unknowns, problem.workers)
@@ -210,17 +210,17 @@ def _answer(
     withheld: bool,
 ) -> IdentificationAnswer:
     draws = parameter_draws(result, problem.parameters)
-    positive = [i for i, own in enumerate(draws.T) if own.min() > 0.0]
+    positive = [i for i, column in enumerate(draws.T) if column.min() > 0.0]
     together = not_told_apart([problem.parameters[i] for i in positive], draws[:, positive])
     answer: IdentificationAnswer = {
         "verdict": result.verdict,
         "parameters": {
-            name: _parameter(problem.bench, name, own, level, kind)
-            for name, own in zip(problem.parameters, draws.T, strict=True)
+            name: _parameter(problem.bench, name, column, level, kind)
+            for name, column in zip(problem.parameters, draws.T, strict=True)
         },
         "gaps": {
-            name: None if withheld else interval(own, level, kind)
-            for name, own in _gaps(result, problem).items()
+            name: None if withheld else interval(column, level, kind)
+            for name, column in _gaps(result, problem).items()
         },
         "effects": [
             {
@@ -251,8 +251,8 @@ def _free_effects(final: Explanation) -> list[str]:
     """Effects with unknown parameters: friction, uncertain effects of the bench, and named
     effects."""
     model = final.fit.model
-    free = {unknown.name.partition("__")[0] for unknown in model.unknowns}
-    return [effect.name for effect in model.bench.effects if effect.name in free]
+    unknown_effects = {unknown.name.partition("__")[0] for unknown in model.unknowns}
+    return [effect.name for effect in model.bench.effects if effect.name in unknown_effects]
 
 
 def _suggested(final: Explanation) -> NextRecordingSummary | None:
@@ -268,7 +268,10 @@ def _alike(result: Identification, name: str) -> list[str]:
 
 def _gaps(result: Identification, problem: Problem) -> dict[str, FloatArray]:
     """Draws of δ by recording, in rad."""
-    return {own.name: result.posterior.values(GAP, own.name) for own in problem.used}
+    return {
+        observation.name: result.posterior.values(GAP, observation.name)
+        for observation in problem.used
+    }
 
 
 def _parameter(

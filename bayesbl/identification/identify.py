@@ -101,9 +101,9 @@ class Problem:
         """Gaps, start angles, delays of motions, effects of the bench file, and parameters."""
         names = [observation.name for observation in self.used]
         moving = [observation.name for observation in self.used if observation.motion is not None]
-        known = set(self.bench.tolerances) - set(self.parameters)
-        every = direct_unknowns(self.bench, names, self.gap_rad, moving)
-        return [unknown for unknown in every if unknown.name not in known]
+        fixed = set(self.bench.tolerances) - set(self.parameters)
+        unknowns = direct_unknowns(self.bench, names, self.gap_rad, moving)
+        return [unknown for unknown in unknowns if unknown.name not in fixed]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,11 +186,11 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     match, unnamed = _match(problem, progress)
-    rest = settled(match.final.fit, laws(match.final.fit.model.bench))
-    if not rest.explains and unnamed is not None and rest.fit is match.final.fit:
-        rest = unnamed
-    match = replace(match, final=replace(match.final, fit=rest.fit))
-    verdict: Verdict = "agrees" if rest.explains else "unexplained"
+    linear_fit = settled(match.final.fit, laws(match.final.fit.model.bench))
+    if not linear_fit.explains and unnamed is not None and linear_fit.fit is match.final.fit:
+        linear_fit = unnamed
+    match = replace(match, final=replace(match.final, fit=linear_fit.fit))
+    verdict: Verdict = "agrees" if linear_fit.explains else "unexplained"
     if match.missing:
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
@@ -200,9 +200,9 @@ def identify(
         match.beyond,
         match.missing,
         verdict=verdict,
-        check=rest.check,
-        posterior=AveragedFit(rest=rest).sampled(sampler, seed, drawing, simulating),
-        allows_for_misfit=not agrees(rest.check) and rest.is_useful,
+        check=linear_fit.check,
+        posterior=AveragedFit(rest=linear_fit).sampled(sampler, seed, drawing, simulating),
+        allows_for_misfit=not agrees(linear_fit.check) and linear_fit.is_useful,
     )
 
 
@@ -214,9 +214,9 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
     # A fit with an implausible data sheet would take minutes or fail.
     nominal = _nominal(problem, progress) if is_plausible(problem) else None
     far_off = nominal is None or (may_be_wrong_by_far(problem) and _is_far_off(nominal))
-    far = far_beyond_data_sheet(problem, of_stage(progress, AFAR)) if far_off else None
-    if far is not None:
-        return replace(far, nominal=nominal or far.final), None
+    gross_error = far_beyond_data_sheet(problem, of_stage(progress, AFAR)) if far_off else None
+    if gross_error is not None:
+        return replace(gross_error, nominal=nominal or gross_error.final), None
     if nominal is None:
         nominal = _nominal(problem, progress)
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
@@ -228,9 +228,9 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
         progress=of_stage(progress, "Naming what is missing"),
     )
     if naming.repeats and not far_off:
-        far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
-        if far is not None:
-            return replace(far, nominal=nominal), None
+        gross_error = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
+        if gross_error is not None:
+            return replace(gross_error, nominal=nominal), None
     missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
     is_asked = problem.effects == "catalogue" or all(set(m) <= set(DELAYS) for m in missing)
     if not naming.effects or not is_asked:
@@ -240,8 +240,8 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
     beyond = None
     if wrong is not None:
         beyond = _beyond(final, wrong.candidate, wrong.members[1:], problem)
-    rest = naming.rest if final.fit is naming.final.fit else None
-    return Match(nominal, final, beyond, missing), rest
+    linear_fit = naming.rest if final.fit is naming.final.fit else None
+    return Match(nominal, final, beyond, missing), linear_fit
 
 
 def _is_far_off(nominal: Explanation) -> bool:
@@ -283,14 +283,14 @@ def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
 def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]) -> Explanation:
     """Add the effects asked for by name, one after the other."""
     best = nominal
-    asked = candidates(problem.bench, problem.used, problem.effects, peaks)
-    for candidate in (c for c in asked if c.kind == "effect"):
+    requested = candidates(problem.bench, problem.used, problem.effects, peaks)
+    for candidate in (c for c in requested if c.kind == "effect"):
         starts = [candidate.neutral + np.nan_to_num(candidate.usual), *candidate.starts]
         unmoved = np.zeros(best.fit.point.size)
-        tried = [refit(best, [(candidate, start)], unmoved) for start in starts]
+        trials = [refit(best, [(candidate, start)], unmoved) for start in starts]
         if not is_explained(best.fit):
-            tried += from_afar(best, [candidate])
-        fits = [e for e in tried if e is not None]
+            trials += from_afar(best, [candidate])
+        fits = [e for e in trials if e is not None]
         best = min(fits, key=lambda e: e.fit.chi_square, default=best)
     return with_own_noise(with_noise(polished(best), remaining_noise(best.fit)))
 
@@ -301,9 +301,9 @@ def parameter_draws(result: Identification, names: Sequence[str]) -> FloatArray:
     For a parameter that was sought beyond its tolerance, those of the wider range.
     """
     unknowns = result.final.fit.model.unknowns
-    last = {u.name: i for i, u in enumerate(unknowns) if u.recording is None}
+    indices = {u.name: i for i, u in enumerate(unknowns) if u.recording is None}
     flat = result.posterior.draws.reshape(-1, len(unknowns))
-    return np.column_stack([unknowns[last[n]].value(flat[:, last[n]]) for n in names])
+    return np.column_stack([unknowns[indices[n]].value(flat[:, indices[n]]) for n in names])
 
 
 def identified_bench(result: Identification, problem: Problem) -> Bench:
@@ -314,12 +314,12 @@ def identified_bench(result: Identification, problem: Problem) -> Bench:
     bench = augmented_bench(result.final)
     draws = parameter_draws(result, problem.parameters)
     parameters = dict(bench.parameters)
-    for name, own in zip(problem.parameters, draws.T, strict=True):
-        logarithm = np.log(own) if own.min() > 0.0 else None
-        middle = float(own.mean()) if logarithm is None else math.exp(float(logarithm.mean()))
-        half = math.sqrt(3.0) * float(own.std())
+    for name, column in zip(problem.parameters, draws.T, strict=True):
+        logarithm = np.log(column) if column.min() > 0.0 else None
+        middle = float(column.mean()) if logarithm is None else math.exp(float(logarithm.mean()))
+        half = math.sqrt(3.0) * float(column.std())
         parameters[name] = BenchParameter(middle, half)
-    together = [i for i, own in enumerate(draws.T) if own.min() > 0.0]
+    together = [i for i, column in enumerate(draws.T) if column.min() > 0.0]
     if not together:
         return replace(bench, parameters=parameters)
     covariance = np.atleast_2d(np.cov(np.log(draws[:, together]).T))
@@ -354,31 +354,31 @@ def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Matc
     called with (points scanned, points in all).
     """
     model = _nothing_fitted(problem)
-    places = _places(problem)
+    scan = _places(problem)
     best: dict[str, tuple[float, FloatArray, Candidate]] = {}
-    for scanned, candidate in enumerate(places):
-        progress(scanned, len(places))
+    for scanned, candidate in enumerate(scan):
+        progress(scanned, len(scan))
         excess, point = _promised(model, candidate)
         if excess < best.get(candidate.name, (math.inf,))[0]:
             best[candidate.name] = excess, point, candidate
-    most = (
+    limit = (
         LEAVES_MOST * max(min((excess for excess, *_ in best.values()), default=0.0), 0.0) + SLACK
     )
     rough: list[Explanation] = []
     for excess, point, candidate in best.values():
-        if excess < most:
+        if excess < limit:
             with suppress(SimulationError):
                 fit = fit_simulated(extended(model, candidate), point, rough=True)
                 rough.append(Explanation((candidate,), fit))
     rough.sort(key=lambda e: e.fit.chi_square)
     fitted = [with_noise(polished(e), remaining_noise(e.fit)) for e in rough[:3]]
-    own = [weighed(e) for e in fitted if is_explained(e.fit) and _is_outside(e, problem)]
-    if not own:
+    valid = [weighed(e) for e in fitted if is_explained(e.fit) and _is_outside(e, problem)]
+    if not valid:
         return None
-    chosen = max(own, key=lambda one: one.log_evidence)
-    near = chosen.log_evidence + math.log(1.0 - NAMED_AT)
-    others = [e.explanation for e in own if e is not chosen and e.log_evidence > near]
-    could_be, final = tuple(e.candidates[-1].name for e in others), chosen.explanation
+    chosen = max(valid, key=lambda entry: entry.log_evidence)
+    threshold = chosen.log_evidence + math.log(1.0 - NAMED_AT)
+    rivals = [e.explanation for e in valid if e is not chosen and e.log_evidence > threshold]
+    could_be, final = tuple(e.candidates[-1].name for e in rivals), chosen.explanation
     return Match(final, final, _beyond(final, final.candidates[-1], could_be, problem))
 
 
@@ -393,21 +393,21 @@ def _beyond(
     final: Explanation, candidate: Candidate, could_be: tuple[str, ...], problem: Problem
 ) -> BeyondDataSheet:
     name, fit = candidate.name, final.fit
-    (place,) = final.places(candidate)
+    (index,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
     ends = [math.log(end) for end in (value - half, value + half) if end > 0.0]
-    sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, place].std())
-    at = float(fit.point[place])
-    deviations = min(abs(at - end) for end in ends) / sd
-    return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)
+    sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, index].std())
+    coordinate = float(fit.point[index])
+    deviations = min(abs(coordinate - end) for end in ends) / sd
+    return BeyondDataSheet(name, value, half, math.exp(coordinate), deviations, could_be)
 
 
 def freed(name: str, value: float) -> Candidate:
     """A parameter as a candidate, sought around a value."""
-    at, reach = math.log(value), math.log(REACH)
-    unknown = Unknown(name, at - reach, at + reach, logarithmic=True)
+    centre, reach = math.log(value), math.log(REACH)
+    unknown = Unknown(name, centre - reach, centre + reach, logarithmic=True)
     usual = np.array([math.log(STEP)])
-    return Candidate(name, "parameter", (unknown,), np.array([at]), usual=usual)
+    return Candidate(name, "parameter", (unknown,), np.array([centre]), usual=usual)
 
 
 def is_plausible(problem: Problem) -> bool:
@@ -422,8 +422,8 @@ def may_be_wrong_by_far(problem: Problem) -> bool:
     Scans of motions take long, so everything else is sought first; so are effects that are asked
     for.
     """
-    asked = problem.effects not in ("catalogue", ())
-    return not asked and all(observation.motion is None for observation in problem.used)
+    requested = problem.effects not in ("catalogue", ())
+    return not requested and all(observation.motion is None for observation in problem.used)
 
 
 def _nothing_fitted(problem: Problem) -> SimulatedSignals:
@@ -438,13 +438,13 @@ def _middle(model: SimulatedSignals) -> FloatArray:
 def _places(problem: Problem) -> list[Candidate]:
     """Each parameter at factors of its value, up and down to the largest that is sought."""
     largest = max(KG_CM2_PER_KG_M2, problem.bench.value("gear_ratio") ** 2)
-    most = math.ceil(math.log(largest) / math.log(STEP))
+    steps = math.ceil(math.log(largest) / math.log(STEP))
     values = {name: problem.bench.value(name) for name in problem.parameters}
     return [
         freed(name, value * STEP**step)
         for name, value in values.items()
         if value > 0.0
-        for step in range(-most, most + 1)
+        for step in range(-steps, steps + 1)
     ]
 
 
@@ -454,15 +454,15 @@ def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, Flo
 
     The parameter is the last unknown. Infinite if the bench is implausible.
     """
-    beside = extended(model, candidate)
-    at = float(candidate.neutral[0])
-    point = np.append(_middle(model), at)
-    if not _can_be(beside, point):
+    extended_model = extended(model, candidate)
+    centre = float(candidate.neutral[0])
+    point = np.append(_middle(model), centre)
+    if not _can_be(extended_model, point):
         return math.inf, point
-    point = aligned_starts(beside, {point.size - 1: np.array([at])}, SCANNED_GAPS)[0]
-    low, high = beside.low, beside.high
-    low[-1], high[-1] = at - math.log(STEP), at + math.log(STEP)
-    excess = promised_within(beside, point, low, high) - beside.size
+    point = aligned_starts(extended_model, {point.size - 1: np.array([centre])}, SCANNED_GAPS)[0]
+    low, high = extended_model.low, extended_model.high
+    low[-1], high[-1] = centre - math.log(STEP), centre + math.log(STEP)
+    excess = promised_within(extended_model, point, low, high) - extended_model.size
     return excess if math.isfinite(excess) else math.inf, point
 
 

@@ -50,16 +50,16 @@ def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:
     by that start.
     """
     shared = [i for i, u in enumerate(fit.model.unknowns) if _is_shared(u, fit)]
-    before = fit.covariance[np.ix_(shared, shared)]
+    covariance = fit.covariance[np.ix_(shared, shared)]
     recordings = fit.model.recordings
     moving = all(observation.motion is not None for observation in recordings)
-    tried = _motions(recordings) if moving else _rotations(fit.model)
+    candidates = _motions(recordings) if moving else _rotations(fit.model)
     options = [
-        _judged(fit, shared, before, observation, information)
-        for observation, place in tried
-        if (information := _information(fit, shared, observation, place)) is not None
+        _judged(fit, shared, covariance, observation, information)
+        for observation, index in candidates
+        if (information := _information(fit, shared, observation, index)) is not None
     ]
-    return max(options, key=lambda one: one["information_bits"], default=None)
+    return max(options, key=lambda option: option["information_bits"], default=None)
 
 
 def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
@@ -72,12 +72,12 @@ def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
 def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
     """One rotation at each speed, with the index of the last recording."""
     top = max(abs(observation.reference_speed_rpm) for observation in model.recordings)
-    place = len(model.recordings) - 1
-    last = model.recordings[place]
+    index = len(model.recordings) - 1
+    last = model.recordings[index]
     for share, direction in itertools.product(SPEED_SHARES, (1.0, -1.0)):
         speed = direction * share * top
         period = model.bench.rotation_period_s(speed)
-        samples = round(period * last.sampling_hz) + model.noise[place].order
+        samples = round(period * last.sampling_hz) + model.noise[index].order
         observation = replace(
             last,
             signals=np.zeros((len(last.signals), samples)),
@@ -89,31 +89,33 @@ def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
             begin_s=0.0,
             motor_lines=None,
         )
-        yield observation, place
+        yield observation, index
 
 
 def _motions(recordings: Sequence[Observed]) -> Iterator[tuple[Observed, int]]:
     """Each recorded motion at each pace, with the index of its recording."""
-    for place, observation in enumerate(recordings):
+    for index, observation in enumerate(recordings):
         assert observation.motion is not None
-        begun = np.arange(observation.samples) < observation.first_compared
+        start_mask = np.arange(observation.samples) < observation.first_compared
         for pace in PACES:
             slower = observation.motion.at_pace(pace)
             speed = pace * observation.reference_speed_rpm
-            made = replace(observation, motion=slower, reference_speed_rpm=speed, excluded=begun)
-            yield made, place
+            slowed = replace(
+                observation, motion=slower, reference_speed_rpm=speed, excluded=start_mask
+            )
+            yield slowed, index
 
 
 def _judged(
     fit: SimulatedFit,
     shared: Sequence[int],
-    before: FloatArray,
+    covariance: FloatArray,
     observation: Observed,
     information: FloatArray,
 ) -> NextRecordingSummary:
-    after = np.linalg.inv(np.linalg.inv(before) + information)
-    bits = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1]) / math.log(2.0)
-    sd = np.sqrt(np.stack([np.diag(before), np.diag(after)]))
+    updated = np.linalg.inv(np.linalg.inv(covariance) + information)
+    bits = 0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(updated)[1]) / math.log(2.0)
+    sd = np.sqrt(np.stack([np.diag(covariance), np.diag(updated)]))
     relative = np.array([fit.model.unknowns[i].logarithmic for i in shared])
     best = int(np.argmin(np.where(relative, sd[1] / sd[0], np.inf)))
     return {
@@ -127,7 +129,7 @@ def _judged(
 
 
 def _information(
-    fit: SimulatedFit, shared: Sequence[int], observation: Observed, place: int
+    fit: SimulatedFit, shared: Sequence[int], observation: Observed, index: int
 ) -> FloatArray | None:
     """Information of one rotation times their number, or of a motion; ``None`` if the drive cannot
     follow.
@@ -135,20 +137,20 @@ def _information(
     Start angle and phases of effects are those of the recording at that index.
     """
     model = fit.model
-    own = model.places_in(place)
-    unknowns = [model.unknowns[i] for i in own]
-    there = SimulatedSignals(
-        model.bench, [observation], unknowns, [model.noise[place]], model.workers
+    indices = model.places_in(index)
+    unknowns = [model.unknowns[i] for i in indices]
+    single = SimulatedSignals(
+        model.bench, [observation], unknowns, [model.noise[index]], model.workers
     )
-    point = fit.point[own]
-    signals = there.signals(point, 0)[0]
+    point = fit.point[indices]
+    signals = single.signals(point, 0)[0]
     limit = NEAR_LIMIT * model.bench.value("current_limit_a")
     if not np.all(np.isfinite(signals)) or (len(signals) > 1 and np.abs(signals[1]).max() > limit):
         return None
-    matrix = derivatives(there, point, fit.steps[own])
+    matrix = derivatives(single, point, fit.steps[indices])
     start = matrix[:, [k for k, u in enumerate(unknowns) if u.name in OF_ITS_START]]
-    gap = there.place_of(GAP, observation.name)
-    columns = [own.index(i) if i in own else gap for i in shared]
+    gap = single.place_of(GAP, observation.name)
+    columns = [indices.index(i) if i in indices else gap for i in shared]
     by_shared = np.column_stack(
         [np.zeros(len(matrix)) if k is None else matrix[:, k] for k in columns]
     )

@@ -82,10 +82,10 @@ def _load_friction(model: SimulatedSignals) -> dict[int, FloatArray]:
     Friction shifts the flank changes of one rotation against one another, in many joints by half a
     ringing period, where a fit gets stuck.
     """
-    for place, unknown in enumerate(model.unknowns):
+    for index, unknown in enumerate(model.unknowns):
         effect = unknown.name.partition("__")[0]
         if effect in LOAD_FRICTION and unknown.low == unknown.centre and unknown.recording is None:
-            return {place: unknown.sd * FRICTIONS_TRIED}
+            return {index: unknown.sd * FRICTIONS_TRIED}
     return {}
 
 
@@ -139,23 +139,23 @@ def aligned_starts(
     by_gap: dict[int | None, list[int]] = {}
     for i, observation in enumerate(model.recordings):
         by_gap.setdefault(model.place_of(GAP, observation.name), []).append(i)
-    for place, members in by_gap.items():
-        tried = points[:, None]
-        if place is not None:
-            tried = np.repeat(tried, gaps_tried, axis=1)
-            tried[..., place] = np.linspace(model.low[place], model.high[place], gaps_tried)
-        shape = tried.shape[:2]
-        aligned = _aligned(model, tried.reshape(-1, tried.shape[2]), members)
+    for index, members in by_gap.items():
+        trials = points[:, None]
+        if index is not None:
+            trials = np.repeat(trials, gaps_tried, axis=1)
+            trials[..., index] = np.linspace(model.low[index], model.high[index], gaps_tried)
+        shape = trials.shape[:2]
+        aligned = _aligned(model, trials.reshape(-1, trials.shape[2]), members)
         cost = np.sum([cost for _, cost in aligned], axis=0).reshape(shape)
         chosen = np.stack([_best_apart(row) for row in cost])
         total += np.take_along_axis(cost, chosen, axis=1)
-        if place is not None:
-            starts[..., place] = np.take_along_axis(tried[..., place], chosen, axis=1)
+        if index is not None:
+            starts[..., index] = np.take_along_axis(trials[..., index], chosen, axis=1)
         for i, (angles, _) in zip(members, aligned, strict=True):
-            at = model.place_of(START_ANGLE, model.recordings[i].name)
-            if at is not None:
+            angle_index = model.place_of(START_ANGLE, model.recordings[i].name)
+            if angle_index is not None:
                 best = np.take_along_axis(angles.reshape(shape), chosen, axis=1)
-                starts[..., at] = _nearest_turn(best, model.unknowns[at])
+                starts[..., angle_index] = _nearest_turn(best, model.unknowns[angle_index])
     order = np.argsort(total, axis=0, kind="stable")
     starts = np.take_along_axis(starts, order[..., None], axis=0)
     starts = starts.swapaxes(0, 1).reshape(-1, starts.shape[2])
@@ -169,13 +169,13 @@ def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
     start = start.copy()
     terms = model.bench.learned_terms
     for (i, observation), term in itertools.product(enumerate(model.recordings), terms):
-        place = model.place_of(term.shift_slot, observation.name)
-        if place is None:
+        index = model.place_of(term.shift_slot, observation.name)
+        if index is None:
             continue
-        tried = SHIFTS_TRIED * term.orders
-        trials = np.repeat(start[None], tried, axis=0)
-        trials[:, place] = np.linspace(-0.5, 0.5, tried, endpoint=False)
-        trials[:, place] *= term.period
+        count = SHIFTS_TRIED * term.orders
+        trials = np.repeat(start[None], count, axis=0)
+        trials[:, index] = np.linspace(-0.5, 0.5, count, endpoint=False)
+        trials[:, index] *= term.period
         residuals = model.whitened_of(trials, i)
         chi_square = np.einsum("ij,ij->i", residuals, residuals)
         start = trials[int(np.argmin(np.nan_to_num(chi_square, nan=np.inf)))]
@@ -191,27 +191,27 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
     for i, observation in enumerate(model.recordings):
         if observation.motion is None:
             continue
-        own = [k for k, u in enumerate(model.unknowns) if u.recording == observation.name]
-        if all(model.unknowns[k].name != GAP for k in own):
+        indices = [k for k, u in enumerate(model.unknowns) if u.recording == observation.name]
+        if all(model.unknowns[k].name != GAP for k in indices):
             continue
         shared = {
             u.name: float(u.value(starts[0][k]))
             for k, u in enumerate(model.unknowns)
             if u.recording is None
         }
-        alone = SimulatedSignals(
+        single = SimulatedSignals(
             model.bench,
             [observation],
-            [model.unknowns[k] for k in own],
+            [model.unknowns[k] for k in indices],
             [model.noise[i]],
             model.workers,
             {**model.settings, **shared},
             model.recent,
         )
-        fits = [fit_simulated(alone, start) for start in motion_starts(alone, starts[0][own])]
+        fits = [fit_simulated(single, start) for start in motion_starts(single, starts[0][indices])]
         best = min(fits, key=lambda fit: fit.chi_square)
         for start in settled:
-            start[own] = best.point
+            start[indices] = best.point
     _, first = np.unique(settled, axis=0, return_index=True)
     return [settled[k] for k in np.sort(first)]
 
@@ -220,8 +220,8 @@ def _combinations(start: FloatArray, scanned: Mapping[int, FloatArray]) -> Float
     """The start with every combination of the scanned values, shape (m, d)."""
     meshes = np.meshgrid(*scanned.values(), indexing="ij")
     points = np.repeat(start[None], meshes[0].size if meshes else 1, axis=0)
-    for place, mesh in zip(scanned, meshes, strict=True):
-        points[:, place] = mesh.ravel()
+    for index, mesh in zip(scanned, meshes, strict=True):
+        points[:, index] = mesh.ravel()
     return points
 
 
@@ -285,8 +285,8 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     gain = np.einsum("c,mck->mk", weight, product)
     power = np.einsum("c,mcj->m", weight, simulated**2)
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
-    own = float(weight @ (folded**2).sum(axis=1))
-    chi_square = own + power - 2.0 * gain[np.arange(len(points)), best]
+    recorded_power = float(weight @ (folded**2).sum(axis=1))
+    chi_square = recorded_power + power - 2.0 * gain[np.arange(len(points)), best]
     rotations = observation.samples / observation.lag
     direction = math.copysign(1.0, observation.reference_speed_rpm)
     angle = direction * 2.0 * math.pi * best / size
@@ -305,14 +305,14 @@ def _rotations(
 
 def _folded(observation: Observed) -> FloatArray:
     """Channels averaged over whole rotations, shape (c, lag)."""
-    whole = int(
+    rotations = int(
         (observation.samples - 1) / (observation.rotation_period_s * observation.sampling_hz)
     )
     size = observation.lag
-    phase = (np.arange(size) / size + np.arange(whole)[:, None]) * observation.rotation_period_s
-    at = phase * observation.sampling_hz
+    phase = (np.arange(size) / size + np.arange(rotations)[:, None]) * observation.rotation_period_s
+    positions = phase * observation.sampling_hz
     grid = np.arange(observation.samples)
-    return np.stack([np.interp(at, grid, row).mean(axis=0) for row in observation.signals])
+    return np.stack([np.interp(positions, grid, row).mean(axis=0) for row in observation.signals])
 
 
 def believed(fit: SimulatedFit) -> SimulatedFit:
@@ -323,9 +323,9 @@ def believed(fit: SimulatedFit) -> SimulatedFit:
     """
     if is_explained(fit) or not _moves(fit):
         return fit
-    for other in _others(fit):
-        if is_explained(other):
-            return other
+    for variant in _others(fit):
+        if is_explained(variant):
+            return variant
     return fit
 
 

@@ -54,21 +54,21 @@ def simulated(
     matrix: FloatArray,
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
-    rest = _Rest(accuracy_rpm=accuracy_rpm, workers=workers, failures=failures)
+    options = _Rest(accuracy_rpm=accuracy_rpm, workers=workers, failures=failures)
     if observation.motion is not None:
-        made = simulate_motions(
-            matrix, observation.motion, samples, observation.sampling_hz, **rest
+        signals = simulate_motions(
+            matrix, observation.motion, samples, observation.sampling_hz, **options
         )
-        return made[:, observation.rows]
+        return signals[:, observation.rows]
     if observation.motor_start_rad is not None:
         matrix = _begun_at(matrix, observation.motor_start_rad, workers)
-    size = samples, observation.sampling_hz
+    grid = samples, observation.sampling_hz
     moments, order = _within_a_rotation(matrix, samples, observation.sampling_hz)
-    alone = len(observation.signals) == 1
-    made = simulate_channels(matrix, *size, moments_s=moments, speed_alone=alone, **rest)
-    if not alone:
-        made = made[:, [SPEED, CURRENT]]
-    return made if order is None else made[:, :, order]
+    speed_only = len(observation.signals) == 1
+    signals = simulate_channels(matrix, *grid, moments_s=moments, speed_alone=speed_only, **options)
+    if not speed_only:
+        signals = signals[:, [SPEED, CURRENT]]
+    return signals if order is None else signals[:, :, order]
 
 
 def _within_a_rotation(
@@ -84,9 +84,9 @@ def _within_a_rotation(
         return None, None
     within = times % turn_s
     order = np.argsort(within, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(samples)
-    return within[order], place
+    index = np.empty_like(order)
+    index[order] = np.arange(samples)
+    return within[order], index
 
 
 def _common_rotation_s(matrix: FloatArray) -> float | None:
@@ -109,16 +109,16 @@ def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> Float
     begin = matrix[:, Slot.motor_start_angle_rad]
     begin[:] = motor_start_rad
     for _ in range(ENCODER_ROUNDS):
-        first = simulate_channels(matrix, 1, 1.0, workers=workers, failures="nan")[:, POSITION, 0]
-        begin -= np.nan_to_num(begin + first - relaxed - motor_start_rad)
+        shown = simulate_channels(matrix, 1, 1.0, workers=workers, failures="nan")[:, POSITION, 0]
+        begin -= np.nan_to_num(begin + shown - relaxed - motor_start_rad)
     return matrix
 
 
-def continued(begun: FloatArray, samples: int) -> FloatArray:
+def continued(stretch: FloatArray, samples: int) -> FloatArray:
     """Continue a repeating stretch to this many samples: (m, c, k) to (m, c, samples)."""
-    if begun.shape[2] == samples:
-        return begun
-    return begun[:, :, np.arange(samples) % begun.shape[2]]
+    if stretch.shape[2] == samples:
+        return stretch
+    return stretch[:, :, np.arange(samples) % stretch.shape[2]]
 
 
 def in_whole_ticks(matrix: FloatArray, observation: Observed) -> FloatArray:
@@ -130,12 +130,12 @@ def in_whole_ticks(matrix: FloatArray, observation: Observed) -> FloatArray:
     """
     period = matrix[:, Slot.sampled_control__period_s]
     samples = period * observation.sampling_hz
-    free = (period > 0.0) & (np.abs(samples - np.round(samples)) > 1e-6)
-    if observation.motion is not None or not free.any():
+    adjustable = (period > 0.0) & (np.abs(samples - np.round(samples)) > 1e-6)
+    if observation.motion is not None or not adjustable.any():
         return matrix
     matrix = matrix.copy()
-    turn = rotation_period_s(matrix)[free]
-    matrix[free, Slot.sampled_control__period_s] = turn / np.round(turn / period[free])
+    turn = rotation_period_s(matrix)[adjustable]
+    matrix[adjustable, Slot.sampled_control__period_s] = turn / np.round(turn / period[adjustable])
     return matrix
 
 
@@ -176,18 +176,18 @@ class RecentSimulations:
         """
         keys = [(settings, row.tobytes()) for row in matrix]
         with self._lock:
-            known = {key: self._kept[key] for key in keys if key in self._kept}
+            cached = {key: self._kept[key] for key in keys if key in self._kept}
         # Points often differ only in unknowns of other recordings: simulate duplicates once.
-        missing = {key: row for key, row in zip(keys, matrix, strict=True) if key not in known}
+        missing = {key: row for key, row in zip(keys, matrix, strict=True) if key not in cached}
         if missing:
             # Simulating may use this cache too, and drop entries; ``known`` keeps them.
-            known |= zip(missing, simulate(np.stack([*missing.values()])), strict=True)
+            cached |= zip(missing, simulate(np.stack([*missing.values()])), strict=True)
         with self._lock:
-            for key, signals in known.items():
+            for key, signals in cached.items():
                 if key not in self._kept:
                     self._kept[key] = signals.copy()
                     self._bytes += signals.nbytes
                 self._kept.move_to_end(key)
             while self._bytes > MOST_BYTES and len(self._kept) > 1:
                 self._bytes -= self._kept.popitem(last=False)[1].nbytes
-        return np.stack([known[key] for key in keys])
+        return np.stack([cached[key] for key in keys])

@@ -68,18 +68,18 @@ class Impacts:
 def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
     """Impacts of each recording; ``covariance``: C, (d, d)."""
     model, derivatives = fit.model, fit.derivatives()
-    whole = derivatives.T @ derivatives
+    curvature = derivatives.T @ derivatives
     # Covariance that the fit removes from residuals, as seen by the scores.
-    hidden = 2.0 * covariance - covariance @ whole @ covariance
+    hidden = 2.0 * covariance - covariance @ curvature @ covariance
     rows = [model.by_recording(row) for row in (fit.residual, *derivatives.T)]
     impacts = []
-    for place, observation in enumerate(model.recordings):
-        residual, *columns = (turns_of(row[place], observation) for row in rows)
+    for index, observation in enumerate(model.recordings):
+        residual, *columns = (turns_of(row[index], observation) for row in rows)
         slopes = np.stack(columns, axis=-1)
         gap = model.place_of(GAP, observation.name)
         assert gap is not None
-        along = slopes @ covariance[gap]
-        halves = _halves(along, len(observation.signals))
+        gap_direction = slopes @ covariance[gap]
+        halves = _halves(gap_direction, len(observation.signals))
 
         def scores(
             weights: FloatArray,
@@ -89,17 +89,19 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
             """Scores of impacts, (g,), their covariance by the recorder's noise, and their
             halves."""
-            own = weights[:, None] * halves
-            power = np.sum(own**2, axis=2)
+            weighted = weights[:, None] * halves
+            power = np.sum(weighted**2, axis=2)
             # A lost impact says nothing.
             kept = power > 0.5 * np.median(power, axis=0)
             kinds = np.broadcast_to(np.arange(2.0), power.shape)
-            by_unknown = np.einsum("rhm,rmd->rhd", own, slopes)[kept]
+            by_unknown = np.einsum("rhm,rmd->rhd", weighted, slopes)[kept]
             spread = np.diag(power[kept]) - by_unknown @ hidden @ by_unknown.T
-            return np.sum(own * residual[:, None], axis=2)[kept], spread, kinds[kept]
+            return np.sum(weighted * residual[:, None], axis=2)[kept], spread, kinds[kept]
 
-        loop = loop_noise(fit, place)
-        scatter = Scatter.of(*scores(along), None if loop is None else loop.factors(along))
+        loop = loop_noise(fit, index)
+        scatter = Scatter.of(
+            *scores(gap_direction), None if loop is None else loop.factors(gap_direction)
+        )
         factors = scatter.likely(FACTORS)
         late = np.zeros(FACTORS)
         angle = model.place_of(START_ANGLE, observation.name)
@@ -108,8 +110,8 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
             power = np.median(np.sum((fast[:, None] * halves) ** 2, axis=2))
             if power > 0.0:
                 late = early_and_late(*scores(fast / power), factors)
-        every = np.stack([row[place].ravel() for row in rows[1:]], axis=1)
-        impacts.append(Impacts(place, every, scatter, factors, late))
+        jacobian = np.stack([row[index].ravel() for row in rows[1:]], axis=1)
+        impacts.append(Impacts(index, jacobian, scatter, factors, late))
     return impacts
 
 
@@ -120,29 +122,31 @@ def scattered(
 
     ``covariance``: C, (d, d), of the draws.
     """
-    every = by_impact(fit, covariance)
-    cases = rng.integers(FACTORS, size=(len(every), len(draws)))
-    shares = [1.0 / impacts.factors[case] for impacts, case in zip(every, cases, strict=True)]
+    by_recording = by_impact(fit, covariance)
+    cases = rng.integers(FACTORS, size=(len(by_recording), len(draws)))
+    shares = [
+        1.0 / impacts.factors[case] for impacts, case in zip(by_recording, cases, strict=True)
+    ]
     # Scaled so that all variances are near one.
     unit = np.sqrt(np.diag(covariance))
-    known = fit.model.prior_precision() * np.outer(unit, unit)
-    by_noise = np.repeat(known[None], len(draws), axis=0)
+    precision = fit.model.prior_precision() * np.outer(unit, unit)
+    by_noise = np.repeat(precision[None], len(draws), axis=0)
     pull = np.zeros(draws.shape)
     residuals = fit.model.by_recording(fit.residual)
-    for impacts, share in zip(every, shares, strict=True):
+    for impacts, share in zip(by_recording, shares, strict=True):
         slopes = impacts.derivatives * unit
         gram = slopes.T @ slopes
-        known = known + gram
+        precision = precision + gram
         by_noise += share[:, None, None] * gram
         pull -= np.outer(1.0 - share, slopes.T @ residuals[impacts.place].ravel())
     wide = np.linalg.inv(by_noise)
-    values, vectors = np.linalg.eigh(wide - np.linalg.inv(known))
+    values, vectors = np.linalg.eigh(wide - np.linalg.inv(precision))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
     moves = np.einsum("mij,mj->mi", root, rng.standard_normal(draws.shape))
-    wider = draws + unit * (moves + np.einsum("mij,mj->mi", wide, pull))
-    for impacts, case in zip(every, cases, strict=True):
-        wider -= impacts.late[case, None] * smeared(fit, impacts)
-    return np.asarray(wider)
+    widened = draws + unit * (moves + np.einsum("mij,mj->mi", wide, pull))
+    for impacts, case in zip(by_recording, cases, strict=True):
+        widened -= impacts.late[case, None] * smeared(fit, impacts)
+    return np.asarray(widened)
 
 
 def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
@@ -155,12 +159,12 @@ def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
     angle = model.place_of(START_ANGLE, model.recordings[impacts.place].name)
     if square == 0.0 or angle is None:
         return np.zeros(fit.point.size)
-    beside = np.repeat(fit.point[None], 2, axis=0)
-    beside[:, angle] += np.array([-1.0, 1.0]) * math.sqrt(square)
+    shifted = np.repeat(fit.point[None], 2, axis=0)
+    shifted[:, angle] += np.array([-1.0, 1.0]) * math.sqrt(square)
     residual = model.by_recording(fit.residual)[impacts.place].ravel()
-    lacks = residual - model.whitened_of(beside, impacts.place).mean(axis=0)
-    moved = fit.covariance @ (impacts.derivatives.T @ lacks) / square
-    return np.nan_to_num(moved) if np.all(np.isfinite(moved)) else np.zeros(moved.size)
+    lacks = residual - model.whitened_of(shifted, impacts.place).mean(axis=0)
+    shift = fit.covariance @ (impacts.derivatives.T @ lacks) / square
+    return np.nan_to_num(shift) if np.all(np.isfinite(shift)) else np.zeros(shift.size)
 
 
 def _fast(slopes: FloatArray, channels: int) -> FloatArray:
@@ -170,11 +174,11 @@ def _fast(slopes: FloatArray, channels: int) -> FloatArray:
     return np.fft.irfft(spectrum, slopes.shape[1] // channels).reshape(slopes.shape)
 
 
-def _halves(along: FloatArray, channels: int) -> FloatArray:
+def _halves(direction: FloatArray, channels: int) -> FloatArray:
     """Indicators of the two halves of a rotation of channels, (2, c lag)."""
-    power = np.sum(along.reshape(-1, along.shape[1] // channels) ** 2, axis=0)
+    power = np.sum(direction.reshape(-1, direction.shape[1] // channels) ** 2, axis=0)
     half, window = power.size // 2, max(power.size // BETWEEN_IMPACTS, 1)
-    around = np.convolve(np.tile(power, 2), np.ones(window), "valid")
-    begin = int(np.argmin(around[:half] + around[half : 2 * half])) + window // 2
-    first = (np.arange(power.size) - begin) % power.size < half
-    return np.tile(np.stack([first, ~first]), (1, channels)).astype(np.float64)
+    smoothed = np.convolve(np.tile(power, 2), np.ones(window), "valid")
+    begin = int(np.argmin(smoothed[:half] + smoothed[half : 2 * half])) + window // 2
+    is_first = (np.arange(power.size) - begin) % power.size < half
+    return np.tile(np.stack([is_first, ~is_first]), (1, channels)).astype(np.float64)

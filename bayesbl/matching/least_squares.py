@@ -117,13 +117,13 @@ class SimulatedFit:
         pull = self.derivatives().T @ self.residual + prior_pull(model, self.point)
         return np.asarray(self.point + self.covariance @ pull)
 
-    def simulated(self, place: int) -> FloatArray:
+    def simulated(self, recording: int) -> FloatArray:
         """Simulated channels of a recording, shape (c, n)."""
-        return np.asarray(self.model.signals(self.point, place)[0])
+        return np.asarray(self.model.signals(self.point, recording)[0])
 
-    def unexplained(self, place: int) -> FloatArray:
+    def unexplained(self, recording: int) -> FloatArray:
         """Recorded minus simulated channels, shape (c, n); 0 where excluded."""
-        return self.model.recordings[place].residual_of(self.simulated(place))
+        return self.model.recordings[recording].residual_of(self.simulated(recording))
 
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""
@@ -173,8 +173,8 @@ def fit_simulated(
         If the bench cannot be simulated at the start.
     """
     point = np.clip(start, model.low, model.high)
-    first = _first_steps(model, point)
-    steps = first if steps is None else np.concatenate([steps, first[len(steps) :]])
+    first_steps = _first_steps(model, point)
+    steps = first_steps if steps is None else np.concatenate([steps, first_steps[len(steps) :]])
     residual = model.whitened(point)[0]
     if not np.all(np.isfinite(residual)):
         model.require(point)
@@ -231,8 +231,8 @@ def fit_simulated(
         jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
         curvature, value_there = jacobian.T @ jacobian, value
     # A comparison may use a nearby Jacobian; an answer needs that of the optimum.
-    kept = jacobian if value_there - value <= (NEAR if one_sided else CONVERGED) else None
-    return _fit(model, point, residual, curvature, steps, kept)
+    final_jacobian = jacobian if value_there - value <= (NEAR if one_sided else CONVERGED) else None
+    return _fit(model, point, residual, curvature, steps, final_jacobian)
 
 
 def promised_within(
@@ -364,33 +364,33 @@ def _jacobian(
     steps = steps.copy()
     sides = 1.0 if one_sided else 2.0
     for attempt in range(4 if pending.size else 0):
-        moved = np.repeat(point[None], 2 * pending.size, axis=0)
-        ends = moved[: pending.size], moved[pending.size :]
+        points = np.repeat(point[None], 2 * pending.size, axis=0)
+        ends = points[: pending.size], points[pending.size :]
         for row, i in enumerate(pending):
             ends[0][row, i] = min(point[i] + steps[i], model.high[i])
             if not one_sided or ends[0][row, i] <= point[i]:
                 ends[1][row, i] = max(point[i] - steps[i], model.low[i])
         begin, half = 0, pending.size
-        for place in range(len(model.recordings)):
+        for recording in range(len(model.recordings)):
             # One recording at a time: twice as many signals as derivatives would fill the memory.
-            z = model.whitened_of(moved, place)
+            z = model.whitened_of(points, recording)
             # The residual falls where the simulation rises.
             columns.T[pending, begin : begin + z.shape[1]] = z[half:] - z[:half]
             begin += z.shape[1]
-        again = []
+        repeated = []
         for row, i in enumerate(pending):
-            size = float(np.linalg.norm(columns[:, i])) / sides
-            if not math.isfinite(size):
+            change = float(np.linalg.norm(columns[:, i])) / sides
+            if not math.isfinite(change):
                 steps[i] *= 0.1
-                again.append(i)
+                repeated.append(i)
                 continue
             columns[:, i] /= ends[0][row, i] - ends[1][row, i]
-            better = steps[i] * float(np.clip(STEP_CHANGE / max(size, 1e-12), 1e-3, 1e3))
+            better = steps[i] * float(np.clip(STEP_CHANGE / max(change, 1e-12), 1e-3, 1e3))
             better = min(better, LONGEST_STEP * model.unknowns[int(i)].prior_sd)
-            if not 0.2 < size / STEP_CHANGE < 5.0 and not np.isclose(better, steps[i]):
-                again.append(i)
+            if not 0.2 < change / STEP_CHANGE < 5.0 and not np.isclose(better, steps[i]):
+                repeated.append(i)
             steps[i] = better
-        pending = np.array(again, dtype=int)
+        pending = np.array(repeated, dtype=int)
         if not pending.size or attempt == 3:
             break
     columns[:, ~np.all(np.isfinite(columns), axis=0)] = 0.0

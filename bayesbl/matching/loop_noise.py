@@ -78,19 +78,19 @@ class LoopNoise:
     around: FloatArray
     linear: FloatArray
 
-    def factors(self, along: FloatArray) -> FloatArray:
+    def factors(self, direction: FloatArray) -> FloatArray:
         """Variance of the recording's noise along a change of its rotations, equally likely values,
         (k,).
 
-        ``along``: change of the whitened rotations, (r, c lag). In units of the variance of
+        ``direction``: change of the whitened rotations, (r, c lag). In units of the variance of
         whitened noise.
         """
-        power = float(np.sum(along**2))
+        power = float(np.sum(direction**2))
         if power == 0.0:
             return np.ones(1)
-        beyond = np.sum((self.around @ along.T) ** 2) - np.sum((self.linear @ along.T) ** 2)
-        more = float(beyond) / (len(self.around) * power)
-        return 1.0 + self.shares * max(more, 0.0)
+        beyond = np.sum((self.around @ direction.T) ** 2) - np.sum((self.linear @ direction.T) ** 2)
+        excess = float(beyond) / (len(self.around) * power)
+        return 1.0 + self.shares * max(excess, 0.0)
 
     def degrees_of_freedom(self, parts: Callable[[FloatArray], FloatArray]) -> FloatArray:
         """Effective degrees of freedom of the noise power in some parts of a rotation, (k,).
@@ -99,10 +99,10 @@ class LoopNoise:
 
         ``parts``: from rotations (R, c lag) to (R, d).
         """
-        around, other = parts(self.around), parts(np.roll(self.linear, 1, axis=0))
+        around, independent = parts(self.around), parts(np.roll(self.linear, 1, axis=0))
         mixes = np.sqrt(self.shares), np.sqrt(1.0 - self.shares)
         return np.array(
-            [degrees_of_freedom(a * around + b * other) for a, b in zip(*mixes, strict=True)]
+            [degrees_of_freedom(a * around + b * independent) for a, b in zip(*mixes, strict=True)]
         )
 
     def chance(
@@ -113,7 +113,7 @@ class LoopNoise:
         ``parts``: parts of rotations with this power, as for :meth:`degrees_of_freedom`.
         """
         degrees = self.degrees_of_freedom(parts)
-        return float(np.mean([f_sf(ratio, own, own * (rotations - 1)) for own in degrees]))
+        return float(np.mean([f_sf(ratio, count, count * (rotations - 1)) for count in degrees]))
 
 
 def degrees_of_freedom(rows: FloatArray) -> float:
@@ -142,38 +142,36 @@ def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
 
     def factors(change: FloatArray) -> FloatArray:
         total, summed = 0.0, np.zeros(len(QUANTILES))
-        for place, rows in enumerate(fit.model.by_recording(change)):
-            along = turns_of(rows, fit.model.recordings[place])
-            power = float(np.sum(along**2))
+        for recording, rows in enumerate(fit.model.by_recording(change)):
+            direction = turns_of(rows, fit.model.recordings[recording])
+            power = float(np.sum(direction**2))
             if power > 0.0:
-                summed += power * of_recording(place)(along)
+                summed += power * of_recording(recording)(direction)
                 total += power
         return summed / total if total > 0.0 else np.ones(1)
 
     return factors
 
 
-def _factors(fit: SimulatedFit, place: int) -> Callable[[FloatArray], FloatArray]:
+def _factors(fit: SimulatedFit, recording: int) -> Callable[[FloatArray], FloatArray]:
     """Noise factors of a recording, by loop noise or by rounding that repeats, (k,) or (1,)."""
-    if not fit.model.noise[place].repeats:
-        loop = loop_noise(fit, place)
-        return loop.factors if loop is not None else lambda along: np.ones(1)
-    rounded = rounded_rotations(fit, place)
+    if not fit.model.noise[recording].repeats:
+        loop = loop_noise(fit, recording)
+        return loop.factors if loop is not None else lambda direction: np.ones(1)
+    rounded = rounded_rotations(fit, recording)
 
-    def by_rounding(along: FloatArray) -> FloatArray:
-        together, power = along.sum(axis=0), float(np.sum(along**2))
-        return np.array(
-            [max([1.0, *(np.mean((rows @ together) ** 2) / power for rows in rounded)])]
-        )
+    def by_rounding(direction: FloatArray) -> FloatArray:
+        total, power = direction.sum(axis=0), float(np.sum(direction**2))
+        return np.array([max([1.0, *(np.mean((rows @ total) ** 2) / power for rows in rounded)])])
 
     return by_rounding
 
 
-def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
+def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
     """Loop noise of a recording; ``None`` if there is none, or rounding hides it."""
     model = fit.model
-    observation, noise = model.recordings[place], model.noise[place]
-    spectra = None if noise.repeats else _spectra(fit, place)
+    observation, noise = model.recordings[recording], model.noise[recording]
+    spectra = None if noise.repeats else _spectra(fit, recording)
     if spectra is None:
         return None
     frequency, speed_power, cross_power = spectra
@@ -197,11 +195,13 @@ def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
     sensor_power = speed_power[passed] / np.abs(in_speed[passed]) ** 2
     lowest = frequency[passed] <= 2.0 * frequency[passed[0]]
     level = float(sensor_power[lowest].mean())
-    every = np.fft.rfftfreq(observation.samples)
-    sensor = np.sqrt(np.interp(every, frequency[passed], sensor_power, left=level))
-    linear = np.stack([np.interp(every, *row) for row in loop])[: len(observation.signals)]
-    made = _rotations(fit, place, "noise in the loop", _noise(fit, place, sensor, linear))
-    return LoopNoise(shares, *made) if np.all(np.isfinite(made)) else None
+    frequencies = np.fft.rfftfreq(observation.samples)
+    sensor = np.sqrt(np.interp(frequencies, frequency[passed], sensor_power, left=level))
+    linear = np.stack([np.interp(frequencies, *row) for row in loop])[: len(observation.signals)]
+    rotations = _rotations(
+        fit, recording, "noise in the loop", _noise(fit, recording, sensor, linear)
+    )
+    return LoopNoise(shares, *rotations) if np.all(np.isfinite(rotations)) else None
 
 
 def _around_the_loop(
@@ -210,48 +210,52 @@ def _around_the_loop(
     """Frequency responses S and H, each with its frequencies in cycles per sample."""
     impulse = np.zeros(min(observation.samples, observation.lag))
     impulse[0] = 1.0
-    moved, answer = noise_through_loop(parameters, impulse, 1.0 / observation.sampling_hz)
+    speed_response, current_response = noise_through_loop(
+        parameters, impulse, 1.0 / observation.sampling_hz
+    )
     grid = np.asarray(np.fft.rfftfreq(impulse.size), dtype=np.float64)
-    return (grid, np.fft.rfft(impulse + moved)), (grid, np.fft.rfft(answer))
+    return (grid, np.fft.rfft(impulse + speed_response)), (grid, np.fft.rfft(current_response))
 
 
-def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, ComplexArray] | None:
+def _spectra(
+    fit: SimulatedFit, recording: int
+) -> tuple[FloatArray, FloatArray, ComplexArray] | None:
     """Frequency in cycles per sample, power of the speed noise, and current times conjugate speed.
 
     By Welch's method on the part that does not repeat; the power of white noise is its variance.
     ``None`` if almost no stretch is without lost samples.
     """
-    observation = fit.model.recordings[place]
-    unexplained = fit.unexplained(place)
+    observation = fit.model.recordings[recording]
+    unexplained = fit.unexplained(recording)
     kept = observation.compared
     if observation.repeats:
         unexplained = (
             unexplained[:, observation.lag :] - unexplained[:, : -observation.lag]
         ) / math.sqrt(2.0)
         kept = kept[observation.lag :] & kept[: -observation.lag]
-    size = unexplained.shape[1] // STRETCHES
-    if size < STRETCHES:
+    length = unexplained.shape[1] // STRETCHES
+    if length < STRETCHES:
         return None
-    window = np.hanning(size + 2)[1:-1]
-    stretches = sliding_window_view(unexplained, size, axis=1)[:, :: size // 2]
-    whole = sliding_window_view(kept, size)[:: size // 2].all(axis=1)
-    if whole.sum() < FEWEST_STRETCHES:
+    window = np.hanning(length + 2)[1:-1]
+    stretches = sliding_window_view(unexplained, length, axis=1)[:, :: length // 2]
+    is_complete = sliding_window_view(kept, length)[:: length // 2].all(axis=1)
+    if is_complete.sum() < FEWEST_STRETCHES:
         return None
-    spectra = np.fft.rfft(stretches[:, whole] * window, axis=2) / np.sqrt(np.sum(window**2))
+    spectra = np.fft.rfft(stretches[:, is_complete] * window, axis=2) / np.sqrt(np.sum(window**2))
     power: FloatArray = np.mean(np.abs(spectra[0]) ** 2, axis=0)
     cross: ComplexArray = np.mean(spectra[-1] * spectra[0].conj(), axis=0)
-    return np.asarray(np.fft.rfftfreq(size), dtype=np.float64), power, cross
+    return np.asarray(np.fft.rfftfreq(length), dtype=np.float64), power, cross
 
 
 def _rotations(
-    fit: SimulatedFit, place: int, what: str, draws: Iterator[tuple[FloatArray, FloatArray]]
+    fit: SimulatedFit, recording: int, label: str, draws: Iterator[tuple[FloatArray, FloatArray]]
 ) -> FloatArray:
     """Whitened rotations of a recording with two kinds of noise, (2, R, c lag).
 
     ``draws``: of both kinds, as channels (c, n). They are made once for this point and noise model.
     """
     model = fit.model
-    observation, noise = model.recordings[place], model.noise[place]
+    observation, noise = model.recordings[recording], model.noise[recording]
 
     def made(_: FloatArray) -> FloatArray:
         turns: list[list[FloatArray]] = []
@@ -262,46 +266,46 @@ def _rotations(
         return np.stack([np.concatenate(kind) for kind in zip(*turns, strict=True)])[None]
 
     vector = model.vectors(fit.point[None], observation)
-    key = (what, observation.name, noise.coefficients.tobytes(), noise.root.tobytes())
+    key = (label, observation.name, noise.coefficients.tobytes(), noise.root.tobytes())
     return np.asarray(model.recent.signals(vector, key, made)[0])
 
 
 def _noise(
-    fit: SimulatedFit, place: int, sensor: FloatArray, linear: ComplexArray
+    fit: SimulatedFit, recording: int, sensor: FloatArray, linear: ComplexArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Draws of noise in the loop, simulated and in the linear approximation.
 
     ``sensor``: gain from white to sensor noise by frequency, (n//2 + 1,); ``linear``: response from
     sensor noise to the channels, (c, n//2 + 1).
     """
-    observation = fit.model.recordings[place]
-    undisturbed = _simulated(fit, place, np.zeros(observation.samples), observation.sampling_hz)
+    observation = fit.model.recordings[recording]
+    undisturbed = _simulated(fit, recording, np.zeros(observation.samples), observation.sampling_hz)
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
     while True:
         drawn = sensor * np.fft.rfft(rng.standard_normal(observation.samples))
         disturbance = np.fft.irfft(drawn, observation.samples)
-        added = _simulated(fit, place, disturbance, observation.sampling_hz) - undisturbed
+        added = _simulated(fit, recording, disturbance, observation.sampling_hz) - undisturbed
         added[0] += disturbance
         yield added, np.fft.irfft(linear * drawn, observation.samples)
 
 
-def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
+def rounded_rotations(fit: SimulatedFit, recording: int) -> list[FloatArray]:
     """Whitened rotations of a recording's rounding, (R, c lag), in one or two cases.
 
     The cases are rounding by the recorder, and by an encoder. The controller also uses the
     encoder's counts, so the loop feeds this error back. Empty if nothing is rounded or it cannot be
     simulated.
     """
-    if all(own.steps is None for own in fit.model.recordings[place].rounding):
+    if all(rounding.steps is None for rounding in fit.model.recordings[recording].rounding):
         return []
-    made = _rotations(fit, place, "rounding", _rounded(fit, place))
-    return [rows for rows in made if np.all(np.isfinite(rows))]
+    rotations = _rotations(fit, recording, "rounding", _rounded(fit, recording))
+    return [rows for rows in rotations if np.all(np.isfinite(rows))]
 
 
-def _rounded(fit: SimulatedFit, place: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _rounded(fit: SimulatedFit, recording: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Draws of both cases; the second is nan if the speed has no steps."""
-    model, observation = fit.model, fit.model.recordings[place]
-    exact, unexplained = fit.simulated(place), fit.unexplained(place)
+    model, observation = fit.model, fit.model.recordings[recording]
+    exact, unexplained = fit.simulated(recording), fit.unexplained(recording)
     # A controller with another rate than the recorder differentiates from tick to tick.
     vector = model.vectors(fit.point[None], observation)
     period = float(vector[0, Slot.sampled_control__period_s])
@@ -312,51 +316,53 @@ def _rounded(fit: SimulatedFit, place: int) -> Iterator[tuple[FloatArray, FloatA
     steps = observation.rounding[0].steps
     if steps is not None and period > 0.0:
         steps = replace(steps, differentiated=True)
-    undisturbed = _simulated(fit, place, np.zeros(at_ticks.size), ticks_hz)
+    undisturbed = _simulated(fit, recording, np.zeros(at_ticks.size), ticks_hz)
     rng = np.random.default_rng(0)
     while True:
-        alone = np.stack(
+        recorder_rounding = np.stack(
             [
-                own.drawn(a, b, rng)
-                for own, a, b in zip(observation.rounding, exact, unexplained, strict=False)
+                rounding.drawn(a, b, rng)
+                for rounding, a, b in zip(observation.rounding, exact, unexplained, strict=False)
             ]
         )
-        around = np.full_like(alone, np.nan)
+        loop_rounding = np.full_like(recorder_rounding, np.nan)
         if steps is not None:
             disturbance = steps.drawn(at_ticks, rng)
-            around = _simulated(fit, place, disturbance, ticks_hz) - undisturbed
-            around[0] += disturbance[shown]
-            around[1:] += alone[1:]
-        yield alone, around
+            loop_rounding = _simulated(fit, recording, disturbance, ticks_hz) - undisturbed
+            loop_rounding[0] += disturbance[shown]
+            loop_rounding[1:] += recorder_rounding[1:]
+        yield recorder_rounding, loop_rounding
 
 
 def _simulated(
-    fit: SimulatedFit, place: int, disturbance_rpm: FloatArray, ticks_hz: float
+    fit: SimulatedFit, recording: int, disturbance_rpm: FloatArray, ticks_hz: float
 ) -> FloatArray:
     """Channels (c, n) of a recording with the reference reduced by this disturbance at each tick.
 
     From the second tick on: a motion starts at its reference speed, load included, and sensor noise
     does not turn the load faster.
     """
-    model, observation = fit.model, fit.model.recordings[place]
+    model, observation = fit.model, fit.model.recordings[recording]
     point = fit.point.copy()
     time = np.arange(disturbance_rpm.size) / ticks_hz
-    asked = np.full(time.size, observation.reference_speed_rpm)
-    known = {"reference_speed_rpm": observation.reference_speed_rpm, **observation.known}
+    reference = np.full(time.size, observation.reference_speed_rpm)
+    settings = {"reference_speed_rpm": observation.reference_speed_rpm, **observation.known}
     if observation.motion is not None:
-        known = dict(observation.known)
-        late = model.place_of(REFERENCE_DELAY, observation.name)
+        settings = dict(observation.known)
+        delay_index = model.place_of(REFERENCE_DELAY, observation.name)
         # The delay is that of the reference; the noise added to it has none.
-        asked = observation.motion.speed_rpm(time - (0.0 if late is None else float(point[late])))
-        if late is not None:
-            point[late] = 0.0
-    asked[1:] -= disturbance_rpm[1:]
-    speed = asked / RPM_PER_RAD_PER_S
+        reference = observation.motion.speed_rpm(
+            time - (0.0 if delay_index is None else float(point[delay_index]))
+        )
+        if delay_index is not None:
+            point[delay_index] = 0.0
+    reference[1:] -= disturbance_rpm[1:]
+    speed = reference / RPM_PER_RAD_PER_S
     ticks = held_motion(Motion(through(time, speed), time[-1]), time.size, ticks_hz)
-    alone = replace(
+    single = replace(
         model,
-        recordings=[replace(observation, motion=ticks, cycle=None, known=known)],
-        noise=[model.noise[place]],
+        recordings=[replace(observation, motion=ticks, cycle=None, known=settings)],
+        noise=[model.noise[recording]],
         recent=RecentSimulations(),
     )
-    return np.asarray(alone.signals(point[None], 0)[0])
+    return np.asarray(single.signals(point[None], 0)[0])

@@ -65,11 +65,11 @@ def noise_of(observation: Observed, residual: FloatArray) -> ChannelNoise:
     rounding = _rounding_of(observation, residual)
     if observation.motion is None:
         return estimate_channel_noise(residual, observation.lag, rounding=rounding)
-    kept = None if observation.excluded is None else ~observation.excluded
+    mask = None if observation.excluded is None else ~observation.excluded
     if observation.cycle is None:
         samples = round(FAST_S * observation.sampling_hz)
-        return estimate_fast_noise(residual, samples, kept, rounding)
-    return estimate_channel_noise(residual, observation.cycle, kept, rounding)
+        return estimate_fast_noise(residual, samples, mask, rounding)
+    return estimate_channel_noise(residual, observation.cycle, mask, rounding)
 
 
 def _rounding_of(observation: Observed, residual: FloatArray) -> FloatArray | None:
@@ -79,7 +79,7 @@ def _rounding_of(observation: Observed, residual: FloatArray) -> FloatArray | No
         return None
     simulated = observation.signals - residual
     rows = zip(observation.rounding[: len(residual)], simulated, residual, strict=True)
-    return np.stack([own.autocovariance(a, b, HIGHEST_ORDER + 1) for own, a, b in rows])
+    return np.stack([rounding.autocovariance(a, b, HIGHEST_ORDER + 1) for rounding, a, b in rows])
 
 
 def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
@@ -112,12 +112,12 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     column = (signals(ANGLE_STEP_RAD, 1.0) - forward) / ANGLE_STEP_RAD
     shift = 0.0
     for _ in range(SHIFTS):
-        apart = forward - signals(shift, -1.0)
-        shift += float(np.sum(weight * apart * column) / np.sum(weight * column**2))
-    apart = forward - signals(shift, -1.0)
-    taken = _from_each_sample_on(weight * apart * column) ** 2
+        difference = forward - signals(shift, -1.0)
+        shift += float(np.sum(weight * difference * column) / np.sum(weight * column**2))
+    difference = forward - signals(shift, -1.0)
+    taken = _from_each_sample_on(weight * difference * column) ** 2
     of_column = _from_each_sample_on(weight * column**2)
-    remembered = _from_each_sample_on(weight * apart**2)
+    remembered = _from_each_sample_on(weight * difference**2)
     remembered -= np.divide(taken, of_column, out=np.zeros(remembered.size), where=of_column > 0.0)
     return remembered
 
@@ -136,18 +136,18 @@ def start_angles(
     The angle is sought once, at the middle point: the gap moves the load by a thousandth of a
     radian, and before the fit gravity shows the angle no better.
     """
-    place = _angle_place(model, recording)
-    if place is None:
+    index = _angle_place(model, recording)
+    if index is None:
         return np.zeros(len(points)), _rough_chi_square(model, points, recording)
     width, best, reach = 2.0 * math.pi / ANGLES_SCANNED, 0.0, np.arange(float(ANGLES_SCANNED))
     for _ in range(REFINEMENTS + 2):
-        tried = np.repeat(points[len(points) // 2][None], reach.size, axis=0)
-        tried[:, place] = best + width * reach
-        best = float(tried[int(np.argmin(_rough_chi_square(model, tried, recording))), place])
+        trials = np.repeat(points[len(points) // 2][None], reach.size, axis=0)
+        trials[:, index] = best + width * reach
+        best = float(trials[int(np.argmin(_rough_chi_square(model, trials, recording))), index])
         width, reach = width / 4.0, ABOUT
-    tried = points.copy()
-    tried[:, place] = best
-    return tried[:, place], _rough_chi_square(model, tried, recording)
+    trials = points.copy()
+    trials[:, index] = best
+    return trials[:, index], _rough_chi_square(model, trials, recording)
 
 
 def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray]:
@@ -165,47 +165,47 @@ def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray
         Shape (d,): values of everything else.
     """
     name = model.recordings[0].name
-    gap = model.index(GAP, name)
-    place = _angle_place(model, 0)
+    gap_index = model.index(GAP, name)
+    angle_index = _angle_place(model, 0)
 
     def scanned(gaps: int, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-        grid = np.linspace(model.low[gap], model.high[gap], gaps)
-        tried = np.repeat(start[None], gaps * angles.size, axis=0)
-        tried[:, gap] = np.tile(grid, angles.size)
-        if place is not None:
-            tried[:, place] = np.repeat(angles, gaps)
-        cost = _rough_chi_square(model, tried, 0)
-        return tried.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
+        grid = np.linspace(model.low[gap_index], model.high[gap_index], gaps)
+        trials = np.repeat(start[None], gaps * angles.size, axis=0)
+        trials[:, gap_index] = np.tile(grid, angles.size)
+        if angle_index is not None:
+            trials[:, angle_index] = np.repeat(angles, gaps)
+        cost = _rough_chi_square(model, trials, 0)
+        return trials.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
 
-    likely = [np.zeros(1)] if place is None else _likely_angles(scanned)
+    likely = [np.zeros(1)] if angle_index is None else _likely_angles(scanned)
     valleys: list[tuple[float, FloatArray]] = []
     for angles in likely:
         points, costs = scanned(GAPS_SCANNED_FINELY, angles)
         valleys += [(float(costs[k]), points[k]) for k in _valleys(costs)]
     step = np.zeros(start.size)
-    step[gap] = (model.high[gap] - model.low[gap]) / (GAPS_SCANNED_FINELY - 1)
-    if place is None:
+    step[gap_index] = (model.high[gap_index] - model.low[gap_index]) / (GAPS_SCANNED_FINELY - 1)
+    if angle_index is None:
         return _best(valleys, step)
-    step[place] = FINE_ANGLE
+    step[angle_index] = FINE_ANGLE
     for _ in range(PAIR_REFINEMENTS):
-        step[place] /= 4.0
+        step[angle_index] /= 4.0
         starts, valleys = _best(valleys, step), []
         about = np.zeros((BESIDE.size, ABOUT.size, start.size))
-        about[..., gap] = step[gap] * BESIDE[:, None]
-        about[..., place] = step[place] * ABOUT
-        for own in starts:
-            points = np.clip(own + about, model.low, model.high)
+        about[..., gap_index] = step[gap_index] * BESIDE[:, None]
+        about[..., angle_index] = step[angle_index] * ABOUT
+        for centre in starts:
+            points = np.clip(centre + about, model.low, model.high)
             cost = _rough_chi_square(model, points.reshape(-1, start.size), 0)
             costs = cost.reshape(about.shape[:2])
             valleys += [(float(costs[k]), points[k]) for k in _valleys(costs)]
-        step[gap] /= 2.0
+        step[gap_index] /= 2.0
     return _best(valleys, step)
 
 
 def _best(valleys: list[tuple[float, FloatArray]], step: FloatArray) -> list[FloatArray]:
     """Points of the lowest χ², best first, no two within a step of each other."""
     kept: list[FloatArray] = []
-    for _, point in sorted(valleys, key=lambda own: own[0]):
+    for _, point in sorted(valleys, key=lambda valley: valley[0]):
         if all(np.any(np.abs(point - other) > 1.5 * step) for other in kept):
             kept.append(point)
     return kept[:VALLEYS_FITTED]
@@ -220,17 +220,17 @@ def _likely_angles(scanned: _Scan) -> list[FloatArray]:
     best = angles[valleys[np.argsort(cost[valleys])][:ANGLES_REFINED]]
     for _ in range(REFINEMENTS):
         width /= 4.0
-        tried = best[:, None] + width * ABOUT
-        cost = scanned(GAPS_SCANNED, tried.ravel())[1].min(axis=1).reshape(tried.shape)
+        trials = best[:, None] + width * ABOUT
+        cost = scanned(GAPS_SCANNED, trials.ravel())[1].min(axis=1).reshape(trials.shape)
         order = np.argsort(cost.min(axis=1))
-        best = tried[np.arange(best.size), np.argmin(cost, axis=1)][order]
+        best = trials[np.arange(best.size), np.argmin(cost, axis=1)][order]
     return list(best[:ANGLES_KEPT, None] + FINE_ANGLE * ABOUT)
 
 
 def _valleys(cost: FloatArray) -> list[tuple[int, int]]:
     """Local minima of a grid (k, m) among their eight neighbours."""
-    beside = sliding_window_view(np.pad(cost, 1, constant_values=np.inf), (3, 3))
-    return list(zip(*np.nonzero(cost <= beside.min(axis=(2, 3))), strict=True))
+    neighbours = sliding_window_view(np.pad(cost, 1, constant_values=np.inf), (3, 3))
+    return list(zip(*np.nonzero(cost <= neighbours.min(axis=(2, 3))), strict=True))
 
 
 def _angle_place(model: SimulatedSignals, recording: int) -> int | None:

@@ -63,13 +63,13 @@ class MotorLines:
     @cached_property
     def inverse(self) -> FloatArray:
         """(HᵀH)⁺, shape (b, b)."""
-        before, own, next_ = self.place
+        before, weight, next_weight = self.place
         gram = np.zeros((self.count, self.count))
         hat = np.arange(self.count)
         after = (hat + 1) % self.count
-        gram[hat, hat] = np.bincount(before, own**2, self.count)
-        gram[after, after] += np.bincount(before, next_**2, self.count)
-        gram[hat, after] = gram[after, hat] = np.bincount(before, own * next_, self.count)
+        gram[hat, hat] = np.bincount(before, weight**2, self.count)
+        gram[after, after] += np.bincount(before, next_weight**2, self.count)
+        gram[hat, after] = gram[after, hat] = np.bincount(before, weight * next_weight, self.count)
         return np.asarray(np.linalg.pinv(gram, rcond=SMALLEST, hermitian=True))
 
     def project_out(self, rows: FloatArray) -> None:
@@ -79,24 +79,24 @@ class MotorLines:
         first = self.kept.size - rows.shape[-1]
         # The hats add up to one, so subtracting 1/n from the weights keeps the mean.
         weights = self.inverse - 1.0 / self.kept[first:].sum()
-        before, own, next_ = (values[first:] for values in self.place)
+        before, weight, next_weight = (values[first:] for values in self.place)
         for index in np.ndindex(rows.shape[:-1]):
-            _project_out(rows[index], before, own, next_, weights)
+            _project_out(rows[index], before, weight, next_weight, weights)
 
 
 @compiled(nogil=True, fastmath={"reassoc", "contract"})
-def _project_out(row, before, own, after, weights):  # type: ignore[no-untyped-def]
+def _project_out(row, before, weight, next_weight, weights):  # type: ignore[no-untyped-def]
     """row − H W Hᵀ row, in place, (m,)."""
     count = len(weights)
-    across = np.zeros(count + 1)
+    projection = np.zeros(count + 1)
     for i in range(row.size):
-        across[before[i]] += own[i] * row[i]
-        across[before[i] + 1] += after[i] * row[i]
-    across[0] += across[count]
-    size = np.zeros(count + 1)
+        projection[before[i]] += weight[i] * row[i]
+        projection[before[i] + 1] += next_weight[i] * row[i]
+    projection[0] += projection[count]
+    coefficients = np.zeros(count + 1)
     for j in range(count):
         for k in range(count):
-            size[j] += weights[j, k] * across[k]
-    size[count] = size[0]
+            coefficients[j] += weights[j, k] * projection[k]
+    coefficients[count] = coefficients[0]
     for i in range(row.size):
-        row[i] -= own[i] * size[before[i]] + after[i] * size[before[i] + 1]
+        row[i] -= weight[i] * coefficients[before[i]] + next_weight[i] * coefficients[before[i] + 1]

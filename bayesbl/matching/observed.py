@@ -231,12 +231,12 @@ def asked_speed(recording: Recording, bench: Bench) -> tuple[float | None, str]:
     """Reference speed of a recording, rpm, with the reason for it; ``None`` if it is the
     bench's."""
     mean = _mean_speed_rpm(recording, bench.value("gear_ratio"))
-    own = bench.value("reference_speed_rpm")
-    if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
+    bench_rpm = bench.value("reference_speed_rpm")
+    if abs(abs(mean / bench_rpm) - 1.0) <= LARGEST_SPEED_ERROR:
         return None, ""
     is_whole = abs(mean - round(mean)) <= min(WHOLE_SPEED_RPM, WHOLE_SHARE * abs(mean))
-    asked = float(round(mean)) if is_whole else float(f"{mean:.6g}")
-    return asked, f"Its mean speed, {asked:g} rpm, is taken for its reference."
+    reference_rpm = float(round(mean)) if is_whole else float(f"{mean:.6g}")
+    return reference_rpm, f"Its mean speed, {reference_rpm:g} rpm, is taken for its reference."
 
 
 def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:
@@ -244,8 +244,8 @@ def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:
     speed_rpm = recording.motor_speed_rpm
     mean = float(speed_rpm.mean())
     rotation = 60.0 * gear_ratio / (max(abs(mean), 1e-9) * recording.sampling_period_s)
-    whole = int(speed_rpm.size / rotation)
-    return float(speed_rpm[: round(whole * rotation)].mean()) if whole else mean
+    rotations = int(speed_rpm.size / rotation)
+    return float(speed_rpm[: round(rotations * rotation)].mean()) if rotations else mean
 
 
 def observed(
@@ -278,7 +278,7 @@ def observed(
     reference = reference_speed(recording, bench, reference_speed_rpm)
     if reference_speed_rpm is None:
         notes += tuple(filter(None, [asked_speed(recording, bench)[1]]))
-    reference, period, more = _as_it_repeats(recording, bench, reference, period)
+    reference, period, period_notes = _as_it_repeats(recording, bench, reference, period)
     rotation = bench.rotation_period_s(reference)
     if speed.size * period < 1.9 * rotation:
         raise RecordingError(
@@ -297,7 +297,7 @@ def observed(
         rotation,
         excluded=recording.excluded,
         rounding=_rounding(signals, bench, reference),
-        notes=(*notes, *more),
+        notes=(*notes, *period_notes),
         known=known,
     )
 
@@ -372,12 +372,12 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
     channels = recording.channels
     time = period_s * np.arange(recording.samples, dtype=np.float64)
     motion = recorded_motion(time, channels.get(REFERENCE_SPEED), channels.get(REFERENCE_POSITION))
-    asked = motion.speed_rpm(time)
-    require_same_motion(recording, asked)
-    _require_current_sign(recording, bench, asked)
-    cycle = cycle_of(asked)
+    reference_rpm = motion.speed_rpm(time)
+    require_same_motion(recording, reference_rpm)
+    _require_current_sign(recording, bench, reference_rpm)
+    cycle = cycle_of(reference_rpm)
     signals = _signals(recording, bench)
-    fastest = float(np.max(np.abs(asked)))
+    fastest = float(np.max(np.abs(reference_rpm)))
     observation = Observed(
         recording.name,
         signals,
@@ -389,7 +389,7 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
         cycle=cycle,
         rounding=_rounding(signals, bench, fastest),
     )
-    return without_start(observation, first_move(asked) + _recovery(observation, bench))
+    return without_start(observation, first_move(reference_rpm) + _recovery(observation, bench))
 
 
 def _signals(recording: Recording, bench: Bench) -> FloatArray:
@@ -402,11 +402,11 @@ def _signals(recording: Recording, bench: Bench) -> FloatArray:
 
 
 def _require_current_sign(
-    recording: Recording, bench: Bench, asked_rpm: FloatArray | None = None
+    recording: Recording, bench: Bench, reference_rpm: FloatArray | None = None
 ) -> None:
     """Require that the current falls with the speed, as a speed loop makes it.
 
-    ``asked_rpm``: reference of a motion. The loop responds to the speed error. A drive may feed the
+    ``reference_rpm``: reference of a motion. The loop responds to the speed error. A drive may feed the
     reference and its acceleration forward, so the parts that follow these say nothing about the
     sign.
 
@@ -427,23 +427,25 @@ def _require_current_sign(
     )
     kept = np.ones(recording.samples) if recording.excluded is None else 1.0 - recording.excluded
     taper = kept * np.hanning(recording.samples)
-    asked = np.zeros(recording.samples) if asked_rpm is None else asked_rpm
-    error = (recording.motor_speed_rpm - asked) / RPM_PER_RAD_PER_S
-    speed, current, ahead = (
+    reference = np.zeros(recording.samples) if reference_rpm is None else reference_rpm
+    error = (recording.motor_speed_rpm - reference) / RPM_PER_RAD_PER_S
+    speed, current, reference_spectrum = (
         np.fft.rfft(taper * (row - row[kept > 0.0].mean()))
-        for row in (error, recording.channels[MOTOR_CURRENT], asked)
+        for row in (error, recording.channels[MOTOR_CURRENT], reference)
     )
     rate = 2.0 * math.pi * np.fft.rfftfreq(taper.size, recording.sampling_period_s)
     corner = max(2.0 * integral / proportional, 3.0 * math.sqrt(outer * integral / proportional))
     motor = bench.value("motor_inertia_kg_m2") * bench.value("gear_ratio") ** 2
-    soft = 1.0 / motor + 1.0 / bench.value("load_inertia_kg_m2")
-    ringing = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") * soft)
+    inverse_inertia = 1.0 / motor + 1.0 / bench.value("load_inertia_kg_m2")
+    ringing = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") * inverse_inertia)
     highest = max(RINGING_BAND * corner, 2.0 * ringing)
     rings = (rate > corner) & (rate < highest)
     speed, current = speed[rings], current[rings]
-    if asked_rpm is not None:
-        fed = np.stack([ahead[rings], 1j * rate[rings] * ahead[rings]])
-        speed, current = (_beside(row, fed) for row in (speed, current))
+    if reference_rpm is not None:
+        feedforward = np.stack(
+            [reference_spectrum[rings], 1j * rate[rings] * reference_spectrum[rings]]
+        )
+        speed, current = (_beside(row, feedforward) for row in (speed, current))
     squares = max(float(np.sum(np.abs(speed) ** 2)), 1e-300)
     slope = float(np.real(np.vdot(speed, current))) / squares
     residual_power = np.abs(current - slope * speed) ** 2
@@ -462,11 +464,11 @@ def _require_current_sign(
     )
 
 
-def _beside(spectrum: ComplexArray, fed: ComplexArray) -> ComplexArray:
+def _beside(spectrum: ComplexArray, feedforward: ComplexArray) -> ComplexArray:
     """Residual of a spectrum (k,) after regression on others, (m, k), with real coefficients."""
-    columns = np.concatenate([fed.real, fed.imag], axis=1).T
+    columns = np.concatenate([feedforward.real, feedforward.imag], axis=1).T
     real = np.concatenate([spectrum.real, spectrum.imag])
-    return np.asarray(spectrum - np.linalg.lstsq(columns, real, rcond=None)[0] @ fed)
+    return np.asarray(spectrum - np.linalg.lstsq(columns, real, rcond=None)[0] @ feedforward)
 
 
 def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[Rounding, ...]:
@@ -496,8 +498,8 @@ def marginalising_motor_lines(observation: Observed, bench: Bench) -> Observed:
         observation.signals[0][observation.compared].mean(),
     )
     rotation = observation.rotation_period_s * observation.sampling_hz
-    whole = round(speed.size // rotation * rotation)
-    turns = np.cumsum(speed / speed[:whole].mean()) * ratio / rotation
+    whole_samples = round(speed.size // rotation * rotation)
+    turns = np.cumsum(speed / speed[:whole_samples].mean()) * ratio / rotation
     return replace(observation, motor_lines=MotorLines(turns, observation.compared))
 
 

@@ -97,10 +97,11 @@ def ranked_motions(
     BenchError
         If the bench has no noise, or can follow none of the motions.
     """
-    tried = (
-        _planned(bench, tried, gap_rad, sampling_hz, workers) for tried in candidates(bench, limits)
+    evaluated = (
+        _planned(bench, candidate, gap_rad, sampling_hz, workers)
+        for candidate in candidates(bench, limits)
     )
-    planned = [motion for motion in tried if motion is not None]
+    planned = [motion for motion in evaluated if motion is not None]
     if not planned:
         raise BenchError(
             "The drive can follow none of the motions within these limits.",
@@ -156,8 +157,8 @@ def noise_of_bench(bench: Bench) -> ChannelNoise:
         )
     order = max(len(model.coefficients) for model in models)
     coefficients = np.zeros((order, 2, 2))
-    for place, model in enumerate(models):
-        coefficients[: len(model.coefficients), place, place] = model.coefficients
+    for channel, model in enumerate(models):
+        coefficients[: len(model.coefficients), channel, channel] = model.coefficients
     return ChannelNoise(
         coefficients,
         np.diag([_innovation_sd(model) for model in models]),
@@ -172,11 +173,11 @@ def _innovation_sd(model: NoiseModel) -> float:
 
 
 def _planned(
-    bench: Bench, tried: Strokes, gap_rad: float, sampling_hz: float, workers: int
+    bench: Bench, candidate: Strokes, gap_rad: float, sampling_hz: float, workers: int
 ) -> PlannedMotion | None:
     """Evaluate strokes; ``None`` if the drive cannot follow them."""
-    motion = strokes(bench.value("gear_ratio"), **asdict(tried))
-    start_rad, samples = tried.range_rad[0], round(tried.duration_s * sampling_hz)
+    motion = strokes(bench.value("gear_ratio"), **asdict(candidate))
+    start_rad, samples = candidate.range_rad[0], round(candidate.duration_s * sampling_hz)
     row = bench.vector(gap_rad=gap_rad, start_angle_rad=start_rad)
     signals = simulate_motions(row, motion, samples, sampling_hz)[0, [SPEED, CURRENT]]
     if np.max(np.abs(signals[1])) > LARGEST_CURRENT_SHARE * bench.value("current_limit_a"):
@@ -191,7 +192,7 @@ def _planned(
     )
     expected = math.sqrt(sum(sd**2 for sd in sds) / len(sds))
     return PlannedMotion(
-        **asdict(tried),
+        **asdict(candidate),
         flank_changes=changes[len(changes) // 2],
         expected_relative_sd=expected if math.isfinite(expected) else None,
     )

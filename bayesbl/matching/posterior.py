@@ -86,10 +86,10 @@ class NoiseOnly:
     @classmethod
     def by(cls, model: SimulatedSignals, surrogate: Surrogate, draws: FloatArray) -> NoiseOnly:
         """``draws``: of that surrogate, shape (chain, draw, d)."""
-        each = surrogate.chi_square_by_rotation(draws.reshape(-1, draws.shape[-1]))
+        by_rotation = surrogate.chi_square_by_rotation(draws.reshape(-1, draws.shape[-1]))
         groups = [
-            (model.rotation_log_density(i) - 0.5 * own).reshape(*draws.shape[:2], -1)
-            for i, own in enumerate(each)
+            (model.rotation_log_density(i) - 0.5 * chi_square).reshape(*draws.shape[:2], -1)
+            for i, chi_square in enumerate(by_rotation)
         ]
         return cls(draws, tuple(groups))
 
@@ -145,9 +145,9 @@ class DirectPosterior:
         gap = self.values(GAP, recording).ravel()
         low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
         for i, side, reach, _ in _contradicted(model, self.draws):
-            own = self.draws[..., i].ravel()
-            variance = float(own.var(ddof=1))
-            slope = float(np.cov(own, gap)[0, 1]) / variance if variance > 0.0 else 0.0
+            coordinate = self.draws[..., i].ravel()
+            variance = float(coordinate.var(ddof=1))
+            slope = float(np.cov(coordinate, gap)[0, 1]) / variance if variance > 0.0 else 0.0
             shift_rad = abs(slope) * reach
             if shift_rad > 0.5 * (high - low):
                 name = model.unknowns[i].name.replace("__", ".")
@@ -171,16 +171,16 @@ class DirectPosterior:
         deviation comes first.
         """
         model = self.fit.model
-        at = [
+        indices = [
             k
             for k, u in enumerate(model.unknowns)
             if u.name in PARAMETER_INFO and u.recording is None and math.isfinite(u.sd)
         ]
-        if len(at) < 2:
+        if len(indices) < 2:
             return []
-        draws = self._flat[:, at]
-        stated = np.linalg.inv(model.normal_prior.precision[np.ix_(at, at)])
-        off = draws.mean(axis=0) - model.normal_prior.centre[at]
+        draws = self._flat[:, indices]
+        stated = np.linalg.inv(model.normal_prior.precision[np.ix_(indices, indices)])
+        off = draws.mean(axis=0) - model.normal_prior.centre[indices]
         root = np.linalg.inv(np.linalg.cholesky(stated))
         shares, axes = np.linalg.eigh(root @ np.cov(draws, rowvar=False) @ root.T)
         axes = root.T @ axes
@@ -189,21 +189,21 @@ class DirectPosterior:
 
         def chance(worst: int) -> float:
             """p-value of the others if one value is not stated, by the moments of the sum."""
-            own = [k for k in range(len(at)) if k != worst]
-            root = np.linalg.inv(np.linalg.cholesky(stated[np.ix_(own, own)]))
+            others = [k for k in range(len(indices)) if k != worst]
+            root = np.linalg.inv(np.linalg.cholesky(stated[np.ix_(others, others)]))
             precision = gain.copy()
-            precision[np.ix_(own, own)] += root.T @ root
+            precision[np.ix_(others, others)] += root.T @ root
             posterior = np.linalg.pinv(precision, hermitian=True)
-            along = root @ (posterior @ pull)[own]
-            shares = np.linalg.eigvalsh(root @ posterior[np.ix_(own, own)] @ root.T)
+            whitened = root @ (posterior @ pull)[others]
+            shares = np.linalg.eigvalsh(root @ posterior[np.ix_(others, others)] @ root.T)
             weights = np.clip(1.0 - shares, 1e-12, 1.0)
             mean, squares = float(weights.sum()), float(np.sum(weights**2))
-            return float(chi2_sf(float(along @ along) * mean / squares, mean**2 / squares))
+            return float(chi2_sf(float(whitened @ whitened) * mean / squares, mean**2 / squares))
 
-        if max(map(chance, range(len(at)))) > CONTRADICTED_BY_CHANCE:
+        if max(map(chance, range(len(indices)))) > CONTRADICTED_BY_CHANCE:
             return []
         order = np.argsort(-np.abs(off) / np.sqrt(np.diag(stated)))
-        return [model.unknowns[at[k]].name for k in order]
+        return [model.unknowns[indices[k]].name for k in order]
 
     def with_model(self, draws: FloatArray) -> DirectPosterior:
         """The posterior with draws (n, d) in place of these, widened by what the bench may lack."""
@@ -325,8 +325,8 @@ def _unsimulated(
     flat = local.drawn(count, (model.low, model.high), seed)
     walked = _independent(flat, settings, 1.0)
     draws = np.stack([chain[:, 0] for chain in walked.chains])
-    away = draws - local.centre
-    chi_square = fit.chi_square + np.einsum("cni,ij,cnj->cn", away, fit.curvature, away)
+    deviations = draws - local.centre
+    chi_square = fit.chi_square + np.einsum("cni,ij,cnj->cn", deviations, fit.curvature, deviations)
     as_it_is = np.ones(len(model.unknowns))
     diagnostics = _judge(model, walked, draws, math.inf, 0.0)
     return DirectPosterior(
@@ -357,8 +357,10 @@ def widened(posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectP
 
 def _times_as_wide(before: FloatArray, after: FloatArray) -> FloatArray:
     """Ratio of the 90 % intervals of draws (n, d), shape (d,)."""
-    width, own = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (after, before))
-    return np.asarray(width / np.maximum(own, 1e-300))
+    width_after, width_before = (
+        np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (after, before)
+    )
+    return np.asarray(width_after / np.maximum(width_before, 1e-300))
 
 
 @dataclass(frozen=True, slots=True)
@@ -401,13 +403,13 @@ class _Check:
     @classmethod
     def of(cls, model: SimulatedSignals, draws: FloatArray, expected: FloatArray) -> _Check:
         """``draws``: shape (m, d); ``expected``: χ² by the surrogate, (m,)."""
-        place = np.linspace(0, len(draws) - 1, CHECKED).astype(np.int64)
-        some = draws[place]
-        log_weights = _log_weights(expected[place], simulated_chi_square(model, some))
+        indices = np.linspace(0, len(draws) - 1, CHECKED).astype(np.int64)
+        checked = draws[indices]
+        log_weights = _log_weights(expected[indices], simulated_chi_square(model, checked))
         low, high = np.quantile(draws, TAILS, axis=0)
         sd = np.maximum(draws.std(axis=0), 1e-300)
-        away = (some - draws.mean(axis=0)) / sd
-        return cls(log_weights, away, (some >= low) & (some <= high))
+        deviations = (checked - draws.mean(axis=0)) / sd
+        return cls(log_weights, deviations, (checked >= low) & (checked <= high))
 
     @property
     def effective_share(self) -> float:
@@ -425,7 +427,9 @@ class _Check:
             return False
         weights = np.exp(self.log_weights - self.log_weights.max())
         excess = weights / weights.sum() - 1.0 / weights.size
-        mean, level = (math.sqrt(np.mean((excess @ own) ** 2)) for own in (self.away, self.within))
+        mean, level = (
+            math.sqrt(np.mean((excess @ values) ** 2)) for values in (self.away, self.within)
+        )
         p = TAILS[1] - TAILS[0]
         scatter = 1.0 / math.sqrt(FEWEST_EFFECTIVE)
         return mean < scatter and level < scatter * math.sqrt(p * (1.0 - p))
@@ -527,8 +531,8 @@ def _ticks_decide(fit: SimulatedFit, generator: np.random.Generator) -> bool:
     draws = np.repeat(fit.point[None], CHECKED, axis=0)
     box = model.low[free], model.high[free]
     draws[:, free] = truncated_normal(fit.point[free], covariance, box, CHECKED, generator)
-    away = draws[:, free] - fit.point[free]
-    expected = fit.chi_square + np.einsum("ni,ij,nj->n", away, precision, away)
+    deviations = draws[:, free] - fit.point[free]
+    expected = fit.chi_square + np.einsum("ni,ij,nj->n", deviations, precision, deviations)
     weights = _log_weights(expected, simulated_chi_square(model, draws))
     return effective_size(weights) * DRAWS / CHECKED >= FEWEST_EFFECTIVE
 
@@ -576,16 +580,21 @@ def _contradicted(
     for i, unknown in enumerate(model.unknowns):
         if unknown.name == GAP or not math.isfinite(unknown.high - unknown.low):
             continue
-        own = draws[..., i].ravel()
+        coordinates = draws[..., i].ravel()
         low, high = unknown.low, unknown.high
         sides: dict[Side, float] = {}
         if math.isfinite(unknown.sd):
             believed = unknown.sd**2
             low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
-            off, variance = float(own.mean()) - unknown.centre, float(own.var(ddof=1))
+            off, variance = (
+                float(coordinates.mean()) - unknown.centre,
+                float(coordinates.var(ddof=1)),
+            )
             # This many draws estimate a variance no better.
-            learned_variance = max(believed - variance, math.sqrt(2.0 / own.size) * believed)
-            beyond = not low < own.mean() < high
+            learned_variance = max(
+                believed - variance, math.sqrt(2.0 / coordinates.size) * believed
+            )
+            beyond = not low < coordinates.mean() < high
             if beyond and chi2_sf(off**2 / learned_variance, 1.0) < CONTRADICTED_BY_CHANCE / len(
                 precision
             ):
@@ -596,7 +605,7 @@ def _contradicted(
             reach = 0.5 * (high - low)
             edges: tuple[tuple[Side, float], ...] = (("lower", low), ("upper", high))
             for side, edge in edges:
-                if chance_at_edge(np.abs(own - edge), high - low) < CONTRADICTED_BY_CHANCE:
+                if chance_at_edge(np.abs(coordinates - edge), high - low) < CONTRADICTED_BY_CHANCE:
                     below = side == "lower" and positive and not unknown.logarithmic
                     sides[side] = min(reach, low) if below else reach
         for side, reach in sides.items():
@@ -611,11 +620,11 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
     for i, unknown in enumerate(model.unknowns):
         if unknown.name != GAP:
             continue
-        own = draws[..., i].ravel()
-        near = min(0.01 * (unknown.high - unknown.low), 0.5 * float(own.std()))
+        coordinates = draws[..., i].ravel()
+        margin = min(0.01 * (unknown.high - unknown.low), 0.5 * float(coordinates.std()))
         for side, share in (
-            ("lower", np.mean(own < unknown.low + near)),
-            ("upper", np.mean(own > unknown.high - near)),
+            ("lower", np.mean(coordinates < unknown.low + margin)),
+            ("upper", np.mean(coordinates > unknown.high - margin)),
         ):
             # If the range begins at zero gap, nothing is cut off there.
             if share > AT_BOUND_SHARE and not (side == "lower" and unknown.offset):

@@ -70,15 +70,15 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
         for observation, noise, part in zip(model.recordings, model.noise, parts, strict=True)
     ]
     count = sum(map(len, by_recording))
-    for place, entries in enumerate(by_recording):
+    for recording, entries in enumerate(by_recording):
         # Entries that no false-alarm rate makes significant need no closer look.
         if any(entry.probability * count < 1.0 for entry in entries):
-            by_recording[place] = _looked_at_closer(fit, place, entries)
+            by_recording[recording] = _looked_at_closer(fit, recording, entries)
     return [entry for entries in by_recording for entry in entries]
 
 
 def _looked_at_closer(
-    fit: SimulatedFit, place: int, entries: list[RepeatingPower]
+    fit: SimulatedFit, recording: int, entries: list[RepeatingPower]
 ) -> list[RepeatingPower]:
     """The same entries, compared with noise in the loop or with rounding in each band.
 
@@ -87,8 +87,8 @@ def _looked_at_closer(
     be the same in all rotations is compared with its own simulation. Whether the loop feeds it back
     is unknown, so what either case explains is no disagreement.
     """
-    observation, noise = fit.model.recordings[place], fit.model.noise[place]
-    rows = fit.model.by_recording(fit.residual)[place][:, observation.first_compared :]
+    observation, noise = fit.model.recordings[recording], fit.model.noise[recording]
+    rows = fit.model.by_recording(fit.residual)[recording][:, observation.first_compared :]
     if not observation.repeats:
         return entries
     turns = np.stack([whole_rotations(row, observation.lag) for row in rows], axis=1)
@@ -98,21 +98,24 @@ def _looked_at_closer(
 
     def in_band(entry: RepeatingPower, rows: FloatArray) -> FloatArray:
         channel = observation.channels.index(entry.channel)
-        own = rows.reshape(len(rows), len(observation.channels), -1)[:, channel]
-        return _band(_spectrum(own), entry.highest_order)
+        channel_rows = rows.reshape(len(rows), len(observation.channels), -1)[:, channel]
+        return _band(_spectrum(channel_rows), entry.highest_order)
 
     if not noise.repeats:
-        loop = loop_noise(fit, place)
+        loop = loop_noise(fit, recording)
         if loop is None:
             return entries
         chances = [loop.chance(e.ratio, partial(in_band, e), rotations) for e in entries]
         return [replace(e, probability=p) for e, p in zip(entries, chances, strict=True)]
-    rounded = rounded_rotations(fit, place)
+    rounded = rounded_rotations(fit, recording)
     if not rounded:
         return entries
     closer = []
     for entry in entries:
-        cases = [_beside_rounding(in_band(entry, turns), in_band(entry, own)) for own in rounded]
+        cases = [
+            _beside_rounding(in_band(entry, turns), in_band(entry, rounding))
+            for rounding in rounded
+        ]
         ratio, chance = max(cases, key=lambda case: case[1])
         closer.append(replace(entry, ratio=ratio, probability=chance))
     return closer
@@ -219,10 +222,10 @@ def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> list[tuple[int, f
     fast = spectrum[spectrum.size // 2 : -1]
     entries = []
     for highest in BANDS:
-        last = 1 + highest * row.size // quarter
-        if last > spectrum.size // 2:
+        end = 1 + highest * row.size // quarter
+        if end > spectrum.size // 2:
             continue
-        band = spectrum[:1] if highest == 0 else spectrum[1:last]
+        band = spectrum[:1] if highest == 0 else spectrum[1:end]
         degrees = 1 if highest == 0 else 2 * band.size
         if scatters:
             ratio = float(band.mean() / fast.mean())

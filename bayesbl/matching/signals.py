@@ -128,8 +128,8 @@ class Unknown:
         An unknown with neither range nor normal prior is an angle, flat over a turn.
         """
         flat = (self.high - self.low) / math.sqrt(12.0)
-        known = min(flat, self.sd)
-        return known if math.isfinite(known) else TURN_SD_RAD
+        sd = min(flat, self.sd)
+        return sd if math.isfinite(sd) else TURN_SD_RAD
 
 
 def gap_unknown(low_rad: float, high_rad: float, recording: str | None = None) -> Unknown:
@@ -170,11 +170,13 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
     unknowns, joint = [], bench.identified
     for name, half in bench.tolerances.items():
         value = bench.value(name)
-        known = joint is not None and name in joint.names
-        if not known and half >= value:
+        is_identified = joint is not None and name in joint.names
+        if not is_identified and half >= value:
             unknowns.append(Unknown(name, value - half, value + half))
             continue
-        sd = joint.sd(name) if joint is not None and known else half / value / math.sqrt(3.0)
+        sd = (
+            joint.sd(name) if joint is not None and is_identified else half / value / math.sqrt(3.0)
+        )
         middle, reach = math.log(value), FURTHEST * sd
         low, high = middle - reach, middle + reach
         unknowns.append(Unknown(name, low, high, middle, sd, logarithmic=True))
@@ -190,16 +192,18 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
     for effect in bench.effects:
         for item in effect_named(effect.name).parameters:
             name = f"{effect.name}__{item.name}"
-            given = effect.parameters.get(item.name)
+            parameter = effect.parameters.get(item.name)
             if item.role == "phase":
                 unknowns += [Unknown(name, recording=recording) for recording in recordings]
-            elif given is not None and given.sd:
-                low = item.low if item.low <= given.value else -math.inf
-                unknowns.append(Unknown(name, low, simulated_range(name)[1], given.value, given.sd))
+            elif parameter is not None and parameter.sd:
+                low = item.low if item.low <= parameter.value else -math.inf
+                unknowns.append(
+                    Unknown(name, low, simulated_range(name)[1], parameter.value, parameter.sd)
+                )
     for learned in bench.learned_terms:
         unknowns += shift_unknowns(learned, recordings)
-        known = zip(learned.names, learned.coefficients, learned.sd, strict=False)
-        unknowns += [Unknown(name, centre=value, sd=sd) for name, value, sd in known if sd > 0.0]
+        terms = zip(learned.names, learned.coefficients, learned.sd, strict=False)
+        unknowns += [Unknown(name, centre=value, sd=sd) for name, value, sd in terms if sd > 0.0]
     return unknowns
 
 
@@ -262,19 +266,19 @@ class NormalPrior:
 
     def log_density(self, points: FloatArray) -> FloatArray:
         """ln density up to a constant, (m, d) to (m,)."""
-        away = points - self.centre
-        density = -0.5 * ((away / self.sd) ** 2).sum(axis=1)
-        return np.asarray(density - 0.5 * ((away @ self.together.T) ** 2).sum(axis=1))
+        offsets = points - self.centre
+        density = -0.5 * ((offsets / self.sd) ** 2).sum(axis=1)
+        return np.asarray(density - 0.5 * ((offsets @ self.together.T) ** 2).sum(axis=1))
 
     def log_densities(self, points: FloatArray) -> FloatArray:
         """ln density of each coordinate given those before it, up to constants, (m, d) to (m,
         d)."""
-        away = points - self.centre
-        densities = -0.5 * (away / self.sd) ** 2
+        offsets = points - self.centre
+        densities = -0.5 * (offsets / self.sd) ** 2
         # W is the inverse of a lower triangular root: each row conditions on the coordinates
         # before.
         joined = np.flatnonzero(np.any(self.together != 0.0, axis=0))
-        densities[:, joined] -= 0.5 * (away @ self.together.T) ** 2
+        densities[:, joined] -= 0.5 * (offsets @ self.together.T) ** 2
         return np.asarray(densities)
 
 
@@ -413,10 +417,10 @@ class SimulatedSignals:
                 matrix,
             )
 
-    def vectors(self, points: FloatArray, observation: Observed, **given: float) -> FloatArray:
-        """Bench parameters for a recording at points, (m, d) to (m, SLOTS), with ``given``
+    def vectors(self, points: FloatArray, observation: Observed, **overrides: float) -> FloatArray:
+        """Bench parameters for a recording at points, (m, d) to (m, SLOTS), with ``overrides``
         values."""
-        matrix = self.bench.vector(**(self.settings_of(points, observation) | given))
+        matrix = self.bench.vector(**(self.settings_of(points, observation) | overrides))
         return matrix if len(matrix) == len(points) else np.repeat(matrix, len(points), axis=0)
 
     def _benches(self, points: FloatArray, observation: Observed) -> FloatArray:
@@ -438,14 +442,14 @@ class SimulatedSignals:
         if observation.motion is None:
             settings["reference_speed_rpm"] = observation.reference_speed_rpm
         settings |= self.settings
-        own = []
+        own_values = []
         for i, unknown in enumerate(self.unknowns):
             if unknown.recording is None:
                 settings[unknown.name] = unknown.value(points[:, i])
             elif unknown.recording == observation.name:
-                own.append((unknown, unknown.value(points[:, i])))
+                own_values.append((unknown, unknown.value(points[:, i])))
         settings |= observation.known
-        for unknown, value in own:
+        for unknown, value in own_values:
             if unknown.added:
                 nominal = unknown.reference or self.bench.value(unknown.name)
                 base = settings.get(unknown.name, nominal)
@@ -494,11 +498,11 @@ class SimulatedSignals:
             self.noise[recording],
             self.rotations(recording),
         )
-        each = np.log(np.diag(noise.root)).sum() + 0.5 * len(observation.signals) * math.log(
+        log_density = np.log(np.diag(noise.root)).sum() + 0.5 * len(observation.signals) * math.log(
             2.0 * math.pi
         )
         counts = np.bincount(rotation[self._counts(recording)], minlength=rotation[-1] + 1)
-        return np.asarray(-each * counts)
+        return np.asarray(-log_density * counts)
 
     def _counts(self, recording: int) -> BoolArray:
         """Whitened samples without excluded ones, shape (n − p,)."""
@@ -522,18 +526,20 @@ class SimulatedSignals:
 
     def _whiten_into(self, out: FloatArray, points: FloatArray, recording: int) -> None:
         observation, noise = self.recordings[recording], self.noise[recording]
-        begun = self.stretch(points, recording)
+        stretch = self.stretch(points, recording)
         # Whitening is linear, so a repeating signal still repeats after it.
-        made = noise.whiten(
-            continued(begun, min(begun.shape[2] + noise.order, observation.samples))
+        prediction = noise.whiten(
+            continued(stretch, min(stretch.shape[2] + noise.order, observation.samples))
         )
         observed = self._white_recordings[recording]
         white = out.reshape(len(points), *observed.shape)
-        length = made.shape[2]
-        for first in range(0, observed.shape[1], length):
-            here = slice(first, first + length)
-            turn = observed[:, here]
-            np.subtract(turn, made[:, :, : turn.shape[1]], out=white[:, :, here])
+        length = prediction.shape[2]
+        for begin in range(0, observed.shape[1], length):
+            window = slice(begin, begin + length)
+            observed_part = observed[:, window]
+            np.subtract(
+                observed_part, prediction[:, :, : observed_part.shape[1]], out=white[:, :, window]
+            )
         if observation.excluded is not None:
             white[..., ~self._counts(recording)] = 0.0
         if observation.motor_lines is not None:
@@ -548,9 +554,9 @@ class SimulatedSignals:
 
     def log_priors(self, points: FloatArray) -> FloatArray:
         """Log prior density of each unknown's value, up to constants, (m, d) to (m, d)."""
-        of_value = np.array([float(u.logarithmic) for u in self.unknowns])
+        is_logarithmic = np.array([float(u.logarithmic) for u in self.unknowns])
         densities = self.normal_prior.log_densities(points)
-        return np.asarray(densities - points * of_value)
+        return np.asarray(densities - points * is_logarithmic)
 
     def prior_draws(self, count: int, generator: np.random.Generator) -> FloatArray:
         """Draws of the prior, shape (count, d); an angle without a prior is uniform over a turn."""
@@ -572,7 +578,7 @@ class SimulatedSignals:
 
     def prior_precision(self) -> FloatArray:
         """Inverse prior covariance, with flat priors as normal ones, shape (d, d)."""
-        own = np.array([u.prior_sd**-2.0 for u in self.unknowns])
+        precision = np.array([u.prior_sd**-2.0 for u in self.unknowns])
         together = self.normal_prior.together
-        own[np.any(together != 0.0, axis=0)] = 0.0
-        return np.asarray(np.diag(own) + together.T @ together)
+        precision[np.any(together != 0.0, axis=0)] = 0.0
+        return np.asarray(np.diag(precision) + together.T @ together)

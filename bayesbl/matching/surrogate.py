@@ -45,10 +45,10 @@ class _Part:
 
     def chi_square(self, points: FloatArray) -> FloatArray:
         u = (points[:, self.index] - self.centre) @ self.inverse_root.T
-        known = np.linalg.norm(u, axis=1) < self.reach
-        terms = _terms(u[known])
+        is_valid = np.linalg.norm(u, axis=1) < self.reach
+        terms = _terms(u[is_valid])
         chi_square = np.full(len(points), np.inf)
-        chi_square[known] = np.einsum("mp,mp->m", terms @ self.gram, terms)
+        chi_square[is_valid] = np.einsum("mp,mp->m", terms @ self.gram, terms)
         return chi_square
 
     def chi_square_by_rotation(self, points: FloatArray) -> FloatArray:
@@ -114,20 +114,20 @@ def regress(
         for begin in range(0, len(points), AT_ONCE):
             rows = slice(begin, begin + AT_ONCE)
             residual = model.whitened_of(points[rows], i)
-            own = _sums_of_squares(residual)
-            chi_square[rows] += own
-            residual[~np.isfinite(own)] = 0.0
-            phi = terms[rows] * np.isfinite(own)[:, None]
+            chi_squares = _sums_of_squares(residual)
+            chi_square[rows] += chi_squares
+            residual[~np.isfinite(chi_squares)] = 0.0
+            phi = terms[rows] * np.isfinite(chi_squares)[:, None]
             normal += phi.T @ phi
             right += phi.T @ residual
-            made = i * len(points) + min(begin + AT_ONCE, len(points))
-            progress(made, len(points) * len(model.recordings))
+            done = i * len(points) + min(begin + AT_ONCE, len(points))
+            progress(done, len(points) * len(model.recordings))
         # C = A⁺B, but only CCᵀ is needed, so all matrices stay small.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         channels = len(model.recordings[i].signals)
         rotation = np.tile(model.rotations(i), channels)
-        own_rows = (right[:, rotation == r] for r in range(rotation[-1] + 1))
-        by_rotation = inverse @ np.stack([rows @ rows.T for rows in own_rows]) @ inverse
+        rows_by_rotation = (right[:, rotation == r] for r in range(rotation[-1] + 1))
+        by_rotation = inverse @ np.stack([rows @ rows.T for rows in rows_by_rotation]) @ inverse
         gram = by_rotation.sum(axis=0)
         reach = max(REACH * float(np.linalg.norm(u, axis=1).max()), LEAST_REACH)
         parts.append(_Part(index, centre[index], inverse_root, gram, by_rotation, reach))

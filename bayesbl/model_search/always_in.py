@@ -216,16 +216,16 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
         main = effect.main_amplitude
         changed = _usual(bench, effect.name) if effect.may_change else 0.0
         if effect.name in present:
-            own = present[effect.name]
-            values = own.complete()
+            existing = present[effect.name]
+            values = existing.complete()
             for item in effect.amplitudes:
-                size = max(abs(values[item.name]), _stated_sd(own, item.name))
+                size = max(abs(values[item.name]), _stated_sd(existing, item.name))
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 by_change = changed if item is main else 0.0
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift, by_change)
-            if own.name == SAMPLED and "delay_periods" not in own.parameters:
+            if existing.name == SAMPLED and "delay_periods" not in existing.parameters:
                 yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0)
-                if "instant_share" not in own.parameters:
+                if "instant_share" not in existing.parameters:
                     yield Direction(INSTANT_SHARE, UNIFORM_SD, 0.0, positive=True)
         elif effect.always_in or effect.may_change:
             usual = _usual(bench, effect.name) if effect.always_in else 0.0
@@ -248,8 +248,8 @@ def _usual(bench: Bench, name: str) -> float:
 
 
 def _stated_sd(effect: BenchEffect, name: str) -> float:
-    given = effect.parameters.get(name)
-    return 0.0 if given is None else given.sd or 0.0
+    parameter = effect.parameters.get(name)
+    return 0.0 if parameter is None else parameter.sd or 0.0
 
 
 def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
@@ -297,9 +297,13 @@ class Label:
 
         A law stays linear if its size is negative, or below the smallest that the simulator takes.
         """
-        first = self.directions[0]
-        is_less = self.recording is None and first.is_law and sizes[0] * first.usual <= first.least
-        return not (first.is_fitted or is_less)
+        direction = self.directions[0]
+        is_too_small = (
+            self.recording is None
+            and direction.is_law
+            and sizes[0] * direction.usual <= direction.least
+        )
+        return not (direction.is_fitted or is_too_small)
 
     @property
     def is_lag(self) -> bool:
@@ -324,23 +328,23 @@ class Label:
 
     def term(self, columns: FloatArray) -> Term:
         """The term for the linear search; ``columns``, (N, k), are per standard deviation."""
-        first = self.directions[0]
-        positive = self.recording is None and first.positive
+        direction = self.directions[0]
+        positive = self.recording is None and direction.positive
         return Term(
             self.hypothesis,
             columns,
             positive,
             always=not self.cause,
             # Part of the friction is dry in any joint.
-            absent=ABSENT if positive and first.effect and not first.instead_of else 0.0,
+            absent=ABSENT if positive and direction.effect and not direction.instead_of else 0.0,
             excludes=frozenset(self._others()) if self.cause else frozenset(),
         )
 
     def _others(self) -> Iterator[str]:
         """Other hypotheses that change one of the same parameters: each is changed once."""
-        own = {d.slot for d in self.directions}
+        changed_slots = {d.slot for d in self.directions}
         for cause, slots in CAUSES.items():
-            if cause != self.cause and own & set(slots):
+            if cause != self.cause and changed_slots & set(slots):
                 yield replace(self, cause=cause).hypothesis
 
     def unknowns(self, vector: FloatArray, sizes: FloatArray) -> list[Unknown]:
@@ -352,21 +356,28 @@ class Label:
         """
         unknowns = []
         widths = np.sqrt(0.5 * (1.0 + sizes**2)) * self.scales
-        for own, scale in zip(self.directions, widths.tolist(), strict=True):
-            value = float(vector[Slot[own.slot]])
+        for direction, scale in zip(self.directions, widths.tolist(), strict=True):
+            value = float(vector[Slot[direction.slot]])
             # A lag that is far from zero is at least what the simulator takes without tiny steps.
-            is_bounded = own.is_not_negative or own.positive or value > 0.0
-            least = own.least if is_bounded else -math.inf
+            is_bounded = direction.is_not_negative or direction.positive or value > 0.0
+            least = direction.least if is_bounded else -math.inf
             if self.recording is None:
-                high = simulated_range(own.slot)[1]
-                unknowns.append(Unknown(own.slot, least, high, centre=value, sd=scale))
+                high = simulated_range(direction.slot)[1]
+                unknowns.append(Unknown(direction.slot, least, high, centre=value, sd=scale))
                 continue
             # The recordings alone decide the size of a change.
             sd = scale / CHANGED_SHARE if self.cause else scale
             low = LEAST_SHARE * value - value if is_bounded else -math.inf
             # In proportion to the value of this range, not to the bench's value.
             unknowns.append(
-                Unknown(own.slot, low, sd=sd, recording=self.recording, added=True, reference=value)
+                Unknown(
+                    direction.slot,
+                    low,
+                    sd=sd,
+                    recording=self.recording,
+                    added=True,
+                    reference=value,
+                )
             )
         return unknowns
 
@@ -408,30 +419,32 @@ class Beside:
         terms together are significant, any shared law may be. Lags act alike when linear: if one is
         far, with either sign, any lag may be. The term that alone lowers χ² most comes first.
         """
-        far = {k for k in range(len(self.labels)) if self._is_far(k, self.by_label()[k])}
+        indices = {k for k in range(len(self.labels)) if self._is_far(k, self.by_label()[k])}
         shared = {k for k, label in enumerate(self.labels) if label.recording is None}
         least = -math.inf
-        if not far and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
-            far, least = shared, FAR**2
-        if any(self.labels[k].is_lag for k in far):
-            far |= {k for k in shared if self.labels[k].is_lag}
-        at = self.posterior.linearised
-        inverse = np.linalg.inv(at.jacobian.T @ at.jacobian + at.prior_precision)
-        alone = []
-        for k in far:
-            columns = at.terms[k].columns
-            by, pull = at.jacobian.T @ columns, columns.T @ at.residual
-            precision = np.eye(pull.size) + columns.T @ columns - by.T @ inverse @ by
+        if not indices and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
+            indices, least = shared, FAR**2
+        if any(self.labels[k].is_lag for k in indices):
+            indices |= {k for k in shared if self.labels[k].is_lag}
+        linearised = self.posterior.linearised
+        inverse = np.linalg.inv(
+            linearised.jacobian.T @ linearised.jacobian + linearised.prior_precision
+        )
+        gains = []
+        for k in indices:
+            columns = linearised.terms[k].columns
+            cross, pull = linearised.jacobian.T @ columns, columns.T @ linearised.residual
+            precision = np.eye(pull.size) + columns.T @ columns - cross.T @ inverse @ cross
             sizes = np.asarray(np.linalg.solve(precision, pull), dtype=np.float64)
             if self.labels[k].can_be_simulated(sizes) and float(pull @ sizes) > least:
-                alone.append((float(pull @ sizes), k, sizes))
-        return [(self.labels[k], sizes) for _, k, sizes in sorted(alone, reverse=True)]
+                gains.append((float(pull @ sizes), k, sizes))
+        return [(self.labels[k], sizes) for _, k, sizes in sorted(gains, reverse=True)]
 
     def _is_far(self, k: int, drawn: FloatArray) -> bool:
         label = self.labels[k]
         if label.cause:
-            surely = itertools.chain(self.posterior.named, *self.posterior.confounded)
-            return label.hypothesis in surely
+            named = itertools.chain(self.posterior.named, *self.posterior.confounded)
+            return label.hypothesis in named
         mean = float(drawn[:, 0].mean())
         # A negative size of a law means something else, so it stays linear.
         return (mean if label.is_positive else abs(mean)) > FAR * float(drawn[:, 0].std())
@@ -457,7 +470,8 @@ class Beside:
                 sizes[kind] = sizes.get(kind, 0.0) + drawn[:, 0] * label.scales[0]
                 least[kind] = FORM_SHARE * label.scales[0]
         return not any(
-            sizes[kind].mean() < -max(FAR * sizes[kind].std(), own) for kind, own in least.items()
+            sizes[kind].mean() < -max(FAR * sizes[kind].std(), tolerance)
+            for kind, tolerance in least.items()
         )
 
     @cached_property
@@ -481,20 +495,22 @@ class Beside:
         if not self.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
             return False
         drawn = self.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
-        for place, unknown in enumerate(fit.model.unknowns):
+        for index, unknown in enumerate(fit.model.unknowns):
             if unknown.name != GAP:
                 continue
-            moved = float(np.mean(drawn[:, place] ** 2))
-            sd = math.sqrt(float(fit.covariance[place, place]) + moved)
+            mean_square_shift = float(np.mean(drawn[:, index] ** 2))
+            sd = math.sqrt(float(fit.covariance[index, index]) + mean_square_shift)
             reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
-            low, high = unknown.value(fit.point[place] + np.array([-reach, reach]))
+            low, high = unknown.value(fit.point[index] + np.array([-reach, reach]))
             if not 0.0 < high < USEFUL_RATIO * low:
                 return False
         return True
 
     def by_label(self) -> list[FloatArray]:
         """Draws of each label's sizes, shape (n, directions) each."""
-        return np.split(self.sizes, np.cumsum([len(own.directions) for own in self.labels])[:-1], 1)
+        return np.split(
+            self.sizes, np.cumsum([len(label.directions) for label in self.labels])[:-1], 1
+        )
 
 
 def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
@@ -506,33 +522,38 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     ends = np.cumsum([part.size for part in model.by_recording(fit.residual)])[:-1]
     jacobians, residuals = np.split(fit.derivatives(), ends), np.split(fit.residual, ends)
     rows, acting, columns = [], [], []
-    for place, (jacobian, residual) in enumerate(zip(jacobians, residuals, strict=True)):
-        own, by = _columns(fit, place, labels)
+    for index, (jacobian, residual) in enumerate(zip(jacobians, residuals, strict=True)):
+        active, active_columns = _columns(fit, index, labels)
         # Only inner products matter, so the R factor replaces all samples.
-        triangle = np.linalg.qr(np.column_stack([jacobian, by, residual]), mode="r")
+        triangle = np.linalg.qr(np.column_stack([jacobian, active_columns, residual]), mode="r")
         row = np.zeros((len(triangle), d + width + 1))
-        row[:, [*range(d), *(d + k for k in own), d + width]] = triangle
+        row[:, [*range(d), *(d + k for k in active), d + width]] = triangle
         rows.append(row)
-        acting.append(own)
-        columns.append(by)
-    every = np.concatenate(rows)
+        acting.append(active)
+        columns.append(active_columns)
+    stacked = np.concatenate(rows)
     ends = np.cumsum([len(label.directions) for label in labels])[:-1]
-    by_label = np.split(every[:, d:-1], ends, axis=1)
+    by_label = np.split(stacked[:, d:-1], ends, axis=1)
     linearised = Linearised(
-        every[:, -1],
-        every[:, :d],
+        stacked[:, -1],
+        stacked[:, :d],
         model.prior_precision(),
         prior_pull(model, fit.point),
-        [label.term(own) for label, own in zip(labels, by_label, strict=bool(labels))],
-        np.zeros((len(every), 0)),
+        [
+            label.term(term_columns)
+            for label, term_columns in zip(labels, by_label, strict=bool(labels))
+        ],
+        np.zeros((len(stacked), 0)),
     )
     changed = {label.hypothesis: CHANGED for label in labels if label.cause}
     posterior = search(linearised, MOST_CHANGED, changed)
     drawn = posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
-    size, shift = drawn.sizes.mean(axis=0), drawn.shift.mean(axis=0)
+    mean_sizes, mean_shift = drawn.sizes.mean(axis=0), drawn.shift.mean(axis=0)
     residual_parts = [
-        residual - jacobian @ shift - by @ size[own]
-        for residual, jacobian, own, by in zip(residuals, jacobians, acting, columns, strict=True)
+        residual - jacobian @ mean_shift - active_columns @ mean_sizes[active]
+        for residual, jacobian, active, active_columns in zip(
+            residuals, jacobians, acting, columns, strict=True
+        )
     ]
     return Beside(fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts), _lag_s(fit))
 
@@ -553,13 +574,13 @@ def always_terms(
     ends = np.cumsum([0, *(len(label.directions) for label in labels)])
     parts = fit.model.by_recording(fit.residual)
     rows = []
-    for place, part in enumerate(parts):
-        own, by = _columns(fit, place, labels)
+    for index, part in enumerate(parts):
+        active, active_columns = _columns(fit, index, labels)
         row = np.zeros((part.size, int(ends[-1])))
-        row[:, own] = by
+        row[:, active] = active_columns
         rows.append(row)
-    every = np.concatenate(rows)
-    return labels, [every[:, a:b] for a, b in itertools.pairwise(ends)]
+    stacked = np.concatenate(rows)
+    return labels, [stacked[:, a:b] for a, b in itertools.pairwise(ends)]
 
 
 def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
@@ -601,86 +622,88 @@ def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
     labels += [Label((d,), owner) for d in among if d.drift > 0.0 for owner in owners]
     for owner in owners:
         for cause, slots in CAUSES.items():
-            own = tuple(d for d in among if d.slot in slots and d.changed > 0.0)
-            if own:
-                labels.append(Label(own, owner, cause))
+            changed = tuple(d for d in among if d.slot in slots and d.changed > 0.0)
+            if changed:
+                labels.append(Label(changed, owner, cause))
         effects = (d for d in among if "__" in d.slot and d.changed > 0.0)
         labels += [Label((d,), owner, d.slot.partition("__")[0]) for d in effects]
     return tuple(
-        own for own in labels if not any((d.slot, own.recording) in taken for d in own.directions)
+        label
+        for label in labels
+        if not any((d.slot, label.recording) in taken for d in label.directions)
     )
 
 
 def _columns(
-    fit: SimulatedFit, place: int, labels: Sequence[Label]
+    fit: SimulatedFit, index: int, labels: Sequence[Label]
 ) -> tuple[list[int], FloatArray]:
     """Indices of the columns that act in a recording, and these columns of its whitened signals.
 
     Returns the columns with shape (N, acting).
     """
-    model, observation = fit.model, fit.model.recordings[place]
-    every = [
+    model, observation = fit.model, fit.model.recordings[index]
+    entries = [
         (label.recording, direction, scale)
         for label in labels
         for direction, scale in zip(label.directions, label.scales, strict=True)
     ]
     acting = [
         k
-        for k, (owner, direction, _) in enumerate(every)
+        for k, (owner, direction, _) in enumerate(entries)
         if owner in (None, observation.name) and direction.slot not in observation.known
     ]
     if not acting:
-        return [], np.zeros((fit.model.by_recording(fit.residual)[place].size, 0))
-    among = list(dict.fromkeys(every[k][1] for k in acting))
-    own = [Unknown(d.slot, recording=observation.name, added=True) for d in among]
-    point = np.concatenate([fit.point, np.zeros(len(own))])
-    slopes = _slopes(model.beside(with_neutral(model.bench, among), own), point, place, among)
-    rows = [among.index(every[k][1]) for k in acting]
-    return acting, np.asarray(slopes[rows].T * [every[k][2] for k in acting])
+        return [], np.zeros((fit.model.by_recording(fit.residual)[index].size, 0))
+    among = list(dict.fromkeys(entries[k][1] for k in acting))
+    unknowns = [Unknown(d.slot, recording=observation.name, added=True) for d in among]
+    point = np.concatenate([fit.point, np.zeros(len(unknowns))])
+    slopes = _slopes(model.beside(with_neutral(model.bench, among), unknowns), point, index, among)
+    rows = [among.index(entries[k][1]) for k in acting]
+    return acting, np.asarray(slopes[rows].T * [entries[k][2] for k in acting])
 
 
 def _slopes(
     model: SimulatedSignals,
     point: FloatArray,
-    place: int,
+    index: int,
     among: Sequence[Direction],
 ) -> FloatArray:
     """Derivatives of a recording's whitened signals by the last unknowns of its model, (k, N)."""
-    own = point.size - len(among) + np.arange(len(among))
+    positions = point.size - len(among) + np.arange(len(among))
     steps = np.array([max(FIRST_STEP * d.size, d.least) for d in among])
-    here = model.whitened_of(point[None], place)[0]
-    values = model.vectors(point[None], model.recordings[place])[0]
-    at = values[[Slot[d.slot] for d in among]]
+    reference = model.whitened_of(point[None], index)[0]
+    values = model.vectors(point[None], model.recordings[index])[0]
+    current = values[[Slot[d.slot] for d in among]]
     # Step towards the farther end of the simulator's range if there is no room above.
     low, high = np.array([simulated_range(d.slot) for d in among]).T
     farthest = LARGEST_STEP * np.array([d.size for d in among])
-    signs = np.where((high - at < farthest) & (at - low > high - at), -1.0, 1.0)
-    farthest = np.minimum(farthest, np.where(signs > 0.0, high - at, at - low))
-    giving_way, share = np.zeros((len(among), point.size)), np.ones(len(among))
+    signs = np.where((high - current < farthest) & (current - low > high - current), -1.0, 1.0)
+    farthest = np.minimum(farthest, np.where(signs > 0.0, high - current, current - low))
+    reduction, share = np.zeros((len(among), point.size)), np.ones(len(among))
     for k, direction in enumerate(among):
         if direction.instead_of:
-            other = model.index(direction.instead_of)
-            giving_way[k, other] = -direction.per_unit
+            reduced = model.index(direction.instead_of)
+            reduction[k, reduced] = -direction.per_unit
             # A share of the friction in this recording, which may have changed.
-            share[k] = max(values[Slot[direction.instead_of]], 0.0) / point[other]
-            room = min(share[k], 1.0) * point[other] - model.low[other]
+            share[k] = max(values[Slot[direction.instead_of]], 0.0) / point[reduced]
+            room = min(share[k], 1.0) * point[reduced] - model.low[reduced]
             farthest[k] = min(farthest[k], room / direction.per_unit)
     steps = np.minimum(steps, farthest)
-    slopes, pending = np.zeros((len(among), here.size)), np.flatnonzero(steps > 0.0)
+    slopes, pending = np.zeros((len(among), reference.size)), np.flatnonzero(steps > 0.0)
     for _ in range(2):
         points = np.repeat(point[None], pending.size, axis=0)
-        by = signs[pending] * steps[pending]
-        points[np.arange(pending.size), own[pending]] = by
-        points += by[:, None] * giving_way[pending]
+        offsets = signs[pending] * steps[pending]
+        points[np.arange(pending.size), positions[pending]] = offsets
+        points += offsets[:, None] * reduction[pending]
         # Rounding must not take the reduced unknown below zero.
         points = np.clip(points, model.low, model.high)
-        changes = np.nan_to_num(here - model.whitened_of(points, place), nan=0.0)
-        slopes[pending] = changes / by[:, None]
-        size = np.linalg.norm(changes, axis=1)
-        better = steps[pending] * SEEN_STEP / np.maximum(size, 1e-12)
-        better = np.clip(better, [among[int(k)].least for k in pending], farthest[pending])
-        unfit = (better > 2.0 * steps[pending]) | (better < 0.2 * steps[pending])
-        steps[pending], pending = better, pending[unfit]
+        changes = np.nan_to_num(reference - model.whitened_of(points, index), nan=0.0)
+        slopes[pending] = changes / offsets[:, None]
+        norms = np.linalg.norm(changes, axis=1)
+        adjusted = steps[pending] * SEEN_STEP / np.maximum(norms, 1e-12)
+        adjusted = np.clip(adjusted, [among[int(k)].least for k in pending], farthest[pending])
+        unfit = (adjusted > 2.0 * steps[pending]) | (adjusted < 0.2 * steps[pending])
+        steps[pending], pending = adjusted, pending[unfit]
         if not pending.size:
             break
     return slopes * share[:, None]
@@ -707,90 +730,93 @@ def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = 
     not explain the recordings, nothing is freed: a misfit moved the terms, and would move the gaps
     too.
     """
-    nominal = rest = beside(fit, among)
+    nominal = linear_fit = beside(fit, among)
     loops: list[tuple[SimulatedFit, SimulatedFit]] = []
-    for made in range(MOST_ROUNDS):
-        progress(made, MOST_ROUNDS)
-        tried = _nearer(rest, among)
-        if not tried:
+    for rounds in range(MOST_ROUNDS):
+        progress(rounds, MOST_ROUNDS)
+        trials = _nearer(linear_fit, among)
+        if not trials:
             break
-        nearer = tried[0]
-        most = nearer.chi_square + MOST_MORE
-        lean = [own.without_derivatives() for own in tried if own.chi_square < most]
-        loops += [(lean[0], own) for own in lean[1:]]
+        nearer = trials[0]
+        limit = nearer.chi_square + MOST_MORE
+        lean = [trial.without_derivatives() for trial in trials if trial.chi_square < limit]
+        loops += [(lean[0], trial) for trial in lean[1:]]
         fit = fit_simulated(nearer.model, nearer.point, nearer.steps, one_sided=True)
-        rest = beside(fit, among)
-    if rest is nominal or not rest.explains:
+        linear_fit = beside(fit, among)
+    if linear_fit is nominal or not linear_fit.explains:
         return nominal
-    rest = beside(fit_simulated(fit.model, fit.point, fit.steps), among)
-    return replace(rest, loops=tuple(loops))
+    linear_fit = beside(fit_simulated(fit.model, fit.point, fit.steps), among)
+    return replace(linear_fit, loops=tuple(loops))
 
 
-def other_loops(rest: Beside) -> list[SimulatedFit]:
+def other_loops(linear_fit: Beside) -> list[SimulatedFit]:
     """Fits with the other loops that may be the joint's, and everything freed since they were
     tried.
 
     The recordings often cannot tell which loop is the right one, and each gives its own gap.
     """
-    fit, fits = rest.fit, []
-    for chosen, other in rest.loops:
-        own = chosen.point.size
-        freed = fit.model.unknowns[own:]
-        if {u.key for u in freed} & {u.key for u in other.model.unknowns}:
+    fit, fits = linear_fit.fit, []
+    for chosen, rival in linear_fit.loops:
+        chosen_size = chosen.point.size
+        freed = fit.model.unknowns[chosen_size:]
+        if {u.key for u in freed} & {u.key for u in rival.model.unknowns}:
             continue
         since = [e for e in fit.model.bench.effects if e not in chosen.model.bench.effects]
-        bench = other.model.bench.with_effects(*other.model.bench.effects, *since)
-        model = replace(other.model.beside(bench, freed), noise=fit.model.noise)
-        common = sum(1 for _ in common_unknowns(fit.model, other.model))
-        start = np.concatenate([other.point, fit.point[own:]])
+        bench = rival.model.bench.with_effects(*rival.model.bench.effects, *since)
+        model = replace(rival.model.beside(bench, freed), noise=fit.model.noise)
+        common = sum(1 for _ in common_unknowns(fit.model, rival.model))
+        start = np.concatenate([rival.point, fit.point[chosen_size:]])
         start[:common] += fit.point[:common] - chosen.point[:common]
         with suppress(BenchError):
-            fits.append(fit_simulated(model, start, other.steps))
+            fits.append(fit_simulated(model, start, rival.steps))
     return fits
 
 
 def common_unknowns(first: SimulatedSignals, second: SimulatedSignals) -> Iterator[Unknown]:
     """The common leading unknowns of two models."""
     pairs = zip(first.unknowns, second.unknowns, strict=False)
-    return (own for own, _ in itertools.takewhile(lambda pair: pair[0].key == pair[1].key, pairs))
+    return (
+        unknown
+        for unknown, _ in itertools.takewhile(lambda pair: pair[0].key == pair[1].key, pairs)
+    )
 
 
-def _nearer(rest: Beside, among: Sequence[Direction]) -> list[SimulatedFit]:
+def _nearer(linear_fit: Beside, among: Sequence[Direction]) -> list[SimulatedFit]:
     """Free one more of the far terms: the best fit and its rivals; empty if no fit is better.
 
     Linear lags are much alike. So if a lag promises most, or the fit is far off, all lags are
     fitted, and also controllers with usual periods. If the bench states a sampled controller, its
     dead time comes first.
     """
-    fit, far = rest.fit.with_derivatives(), rest.far()
-    lags = [own for own in far if own[0].is_lag]
-    if lags and (far[0][0].is_lag or fit.chi_square > _goal(fit)):
-        tried: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
-        if not tried or all(e.name != SAMPLED for e in fit.model.bench.effects):
-            tried += [_freed(fit, *own) for own in lags]
-        rivals = sorted((f for f in tried if f is not None), key=lambda f: f.chi_square)
+    fit, far_terms = linear_fit.fit.with_derivatives(), linear_fit.far()
+    lags = [term for term in far_terms if term[0].is_lag]
+    if lags and (far_terms[0][0].is_lag or fit.chi_square > _goal(fit)):
+        trials: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
+        if not trials or all(e.name != SAMPLED for e in fit.model.bench.effects):
+            trials += [_freed(fit, *term) for term in lags]
+        rivals = sorted((f for f in trials if f is not None), key=lambda f: f.chi_square)
         if rivals and rivals[0].chi_square < fit.chi_square:
             return rivals
-    freed = (_freed(fit, *own) for own in far if not own[0].is_lag)
+    freed = (_freed(fit, *term) for term in far_terms if not term[0].is_lag)
     better = (f for f in freed if f is not None and f.chi_square < fit.chi_square)
     return list(itertools.islice(better, 1))
 
 
-def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | None:
+def _freed(fit: SimulatedFit, label: Label, sizes: FloatArray) -> SimulatedFit | None:
     """Free one label, starting from these sizes; ``None`` if no start can be simulated."""
-    bench = with_neutral(fit.model.bench, far.directions)
-    first = fit.model.vectors(fit.point[None], fit.model.recordings[0])
-    own = far.unknowns((bench.vector() if far.recording is None else first)[0], sizes)
-    by = sizes * far.scales
-    model = fit.model.beside(bench, own)
-    move = np.concatenate([np.zeros(fit.point.size), by])
-    for k, direction in enumerate(far.directions, fit.point.size):
+    bench = with_neutral(fit.model.bench, label.directions)
+    first_vector = fit.model.vectors(fit.point[None], fit.model.recordings[0])
+    added = label.unknowns((bench.vector() if label.recording is None else first_vector)[0], sizes)
+    offsets = sizes * label.scales
+    model = fit.model.beside(bench, added)
+    move = np.concatenate([np.zeros(fit.point.size), offsets])
+    for k, direction in enumerate(label.directions, fit.point.size):
         if direction.instead_of:
-            other = model.index(direction.instead_of)
-            room = (fit.point[other] - model.low[other]) / direction.per_unit
+            reduced = model.index(direction.instead_of)
+            room = (fit.point[reduced] - model.low[reduced]) / direction.per_unit
             move[k] = min(move[k], room)
-            move[other] = -move[k] * direction.per_unit
-    return _fitted_from(model, fit, [unknown.centre for unknown in own], move)
+            move[reduced] = -move[k] * direction.per_unit
+    return _fitted_from(model, fit, [unknown.centre for unknown in added], move)
 
 
 def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
@@ -815,11 +841,13 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
         if stated is None:
             ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
             bench = bench.with_effects(*bench.effects, ticks)
-        free = [d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - taken]
-        own = [u for d in free for u in Label((d,), None).unknowns(bench.vector()[0], np.ones(1))]
-        models[period_s] = fit.model.beside(bench, own)
-        for loop in itertools.product(USUAL_DELAYS, (0.0, 1.0)[: len(own)]):
-            point = np.concatenate([fit.point, loop[: len(own)]])
+        freed = [d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - taken]
+        added = [
+            u for d in freed for u in Label((d,), None).unknowns(bench.vector()[0], np.ones(1))
+        ]
+        models[period_s] = fit.model.beside(bench, added)
+        for loop in itertools.product(USUAL_DELAYS, (0.0, 1.0)[: len(added)]):
+            point = np.concatenate([fit.point, loop[: len(added)]])
             residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
                 chi_square, shift = chi_square_beside(residual)
@@ -848,29 +876,29 @@ def _goal(fit: SimulatedFit) -> float:
 
 
 def _fitted_from(
-    model: SimulatedSignals, fit: SimulatedFit, centres: Sequence[float], by: FloatArray
+    model: SimulatedSignals, fit: SimulatedFit, centres: Sequence[float], offset: FloatArray
 ) -> SimulatedFit | None:
-    """Fit roughly from the linear prediction, ``by`` (d,) away from the fit and the centres.
+    """Fit roughly from the linear prediction, ``offset`` (d,) away from the fit and the centres.
 
     If the start cannot be simulated, the move is halved.
     """
     for _ in range(MOST_HALVES):
-        start = np.concatenate([fit.point, centres]) + by
+        start = np.concatenate([fit.point, centres]) + offset
         # A linear promise may be negative for a law.
         start = np.clip(start, model.low, model.high)
         if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
-            known, goal = fit.derivatives(), _goal(fit)
-            return fit_simulated(model, start, fit.steps, rough=True, known=known, goal=goal)
-        by = 0.5 * by
+            jacobian, goal = fit.derivatives(), _goal(fit)
+            return fit_simulated(model, start, fit.steps, rough=True, known=jacobian, goal=goal)
+        offset = 0.5 * offset
     return None
 
 
 def marginalised(
-    posterior: DirectPosterior, rest: ModelPosterior, seed: np.random.SeedSequence
+    posterior: DirectPosterior, linear_posterior: ModelPosterior, seed: np.random.SeedSequence
 ) -> DirectPosterior:
     """Marginalise the laws and bench parameters that the draws hold fixed.
 
-    ``rest``: posterior of the terms linearised at the fit.
+    ``linear_posterior``: posterior of the terms linearised at the fit.
 
     If the recordings show that the gap's edges are soft, δ is as uncertain as these edges are wide:
     where teeth begin to touch depends on the contact law, which no recording shows. All snapshots
@@ -883,20 +911,20 @@ def marginalised(
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
-    shifts = rest.draw(rng, len(flat)).shift
+    shifts = linear_posterior.draw(rng, len(flat)).shift
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
-        tried = flat[outside] + shifts[rng.permutation(len(flat))[: outside.size]]
-        if rest.linearised.groups:
+        trial = flat[outside] + shifts[rng.permutation(len(flat))[: outside.size]]
+        if linear_posterior.linearised.groups:
             # A discrepancy is in no catalogue, so the direction in which it moves δ is unknown too.
             lean = shifts[:, gaps].mean(axis=0)
-            tried[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
+            trial[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
         for k in gaps:
             unknown = model.unknowns[k]
-            tried[:, k] = unknown.coordinate(unknown.value(tried[:, k]) + edge_rad)
-        within = np.all((tried > model.low) & (tried < model.high), axis=1)
-        moved[outside[within]] = tried[within]
+            trial[:, k] = unknown.coordinate(unknown.value(trial[:, k]) + edge_rad)
+        within = np.all((trial > model.low) & (trial < model.high), axis=1)
+        moved[outside[within]] = trial[within]
         outside = outside[~within]
         if not outside.size:
             break
@@ -923,15 +951,15 @@ def _chi_square_beside(
     Unknowns, laws and drift vary within their priors.
     """
     _, columns = always_terms(fit, among)
-    own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
-    laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])
-    known = np.vstack([np.hstack([own, laws]), block_diag(prior, np.eye(laws.shape[1]))])
-    orthogonal, triangle = np.linalg.qr(known)
+    jacobian, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
+    laws = np.hstack([np.zeros((jacobian.shape[0], 0)), *columns])
+    stacked = np.vstack([np.hstack([jacobian, laws]), block_diag(prior, np.eye(laws.shape[1]))])
+    orthogonal, triangle = np.linalg.qr(stacked)
 
     def left(residual: FloatArray) -> tuple[float, FloatArray]:
         residual = np.concatenate([residual, np.zeros(len(triangle))])
-        along = orthogonal.T @ residual
-        shift = np.linalg.solve(triangle, along)[: fit.point.size]
-        return float(residual @ residual - along @ along), np.asarray(shift)
+        projection = orthogonal.T @ residual
+        shift = np.linalg.solve(triangle, projection)[: fit.point.size]
+        return float(residual @ residual - projection @ projection), np.asarray(shift)
 
     return left

@@ -102,13 +102,13 @@ class Candidate:
         orders, the bench one per effect: another effect at a harmonic would have no rival and be
         named whatever its cause.
         """
-        order, own = other.order, self.order
+        order, own_order = other.order, self.order
         return (
             other.label == self.label
             or bool(self.unknown_keys & other.unknown_keys)
             or self._holds(other)
             or other._holds(self)
-            or (order is not None and own is not None and order / own in HARMONICS)
+            or (order is not None and own_order is not None and order / own_order in HARMONICS)
         )
 
     def _holds(self, other: Candidate) -> bool:
@@ -141,15 +141,15 @@ class Candidate:
     @property
     def is_positive(self) -> bool:
         """Whether it has a single amplitude, which cannot be negative."""
-        places = self.amplitudes
-        return len(places) == 1 and self.unknowns[places[0]].low >= self.neutral[places[0]]
+        indices = self.amplitudes
+        return len(indices) == 1 and self.unknowns[indices[0]].low >= self.neutral[indices[0]]
 
     def is_at_full_size(self, start: FloatArray) -> bool:
         """Whether a start has a nonzero size, as those of elastic parts: their frequency depends on
         the size."""
-        places = self.amplitudes
-        return bool(np.any(start[places] != self.neutral[places])) and any(
-            np.array_equal(start, own) for own in self.starts
+        indices = self.amplitudes
+        return bool(np.any(start[indices] != self.neutral[indices])) and any(
+            np.array_equal(start, known_start) for known_start in self.starts
         )
 
     def log_prior(self, coordinates: FloatArray) -> float:
@@ -245,9 +245,9 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
         usual=_usual(sought),
     )
     if effect.resonance is not None:
-        places = tuple(_resonances(bench, effect, effect.resonance))
-        near = tuple(_near(effect, unknowns, places))
-        return replace(candidate, unknowns=near, starts=places)
+        part_starts = tuple(_resonances(bench, effect, effect.resonance))
+        bounded = tuple(_near(effect, unknowns, part_starts))
+        return replace(candidate, unknowns=bounded, starts=part_starts)
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
     if effect.enters in ("load", "shaft"):
@@ -261,30 +261,36 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
         starts = tuple(np.where(np.arange(neutral.size) == i, m, neutral) for m in middle)
         if scanned:
             scanned[i] = middle
-    for i, own in ((i, p.starts) for i, p in enumerate(sought) if not p.is_amplitude):
-        starts += tuple(np.where(np.arange(neutral.size) == i, start, neutral) for start in own)
+    for i, parameter_starts in ((i, p.starts) for i, p in enumerate(sought) if not p.is_amplitude):
+        starts += tuple(
+            np.where(np.arange(neutral.size) == i, start, neutral) for start in parameter_starts
+        )
     return replace(candidate, starts=starts, scanned=scanned)
 
 
-def _resonances(bench: Bench, effect: Effect, at: Resonance) -> Iterator[FloatArray]:
+def _resonances(bench: Bench, effect: Effect, resonance: Resonance) -> Iterator[FloatArray]:
     """Coordinates of an elastic part at full size, over a grid of its frequency and oscillating
     inertia."""
     load = bench.value("load_inertia_kg_m2")
-    own = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") / load)
-    low, high = at.multiples
+    shaft_rate = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") / load)
+    low, high = resonance.multiples
     count = 1 + round(math.log(high / low) / math.log(RESONANCE_SPACING))
     (compliance,) = effect.amplitudes
-    for rate in own * np.geomspace(low, high, count):
-        for part in at.parts:
-            behind = part if at.is_share else part * load
-            inertia = part * (1.0 - part) * bench.value(at.inertia) if at.is_share else behind
+    for rate in shaft_rate * np.geomspace(low, high, count):
+        for part in resonance.parts:
+            behind = part if resonance.is_share else part * load
+            inertia = (
+                part * (1.0 - part) * bench.value(resonance.inertia)
+                if resonance.is_share
+                else behind
+            )
             values = {p.name: p.neutral for p in effect.parameters}
-            values |= {compliance.name: 1.0 / (rate**2 * inertia), at.part: behind}
+            values |= {compliance.name: 1.0 / (rate**2 * inertia), resonance.part: behind}
             yield np.array([values[p.name] for p in effect.parameters])
 
 
 def _near(
-    effect: Effect, unknowns: Sequence[Unknown], places: Sequence[FloatArray]
+    effect: Effect, unknowns: Sequence[Unknown], starts: Sequence[FloatArray]
 ) -> Iterator[Unknown]:
     """Ranges around a grid of starts.
 
@@ -292,8 +298,8 @@ def _near(
     inertia from a quarter of the smallest. A stiffer part hardly shows, and makes the simulator's
     steps tiny.
     """
-    least, most = 0.25 * np.min(places, axis=0), 4.0 * np.max(places, axis=0)
-    columns = zip(unknowns, effect.parameters, np.transpose(places), least, most, strict=True)
+    lowest, highest = 0.25 * np.min(starts, axis=0), 4.0 * np.max(starts, axis=0)
+    columns = zip(unknowns, effect.parameters, np.transpose(starts), lowest, highest, strict=True)
     for unknown, parameter, values, low, high in columns:
         if parameter.is_amplitude:
             yield replace(unknown, low=float(low), high=float(high))
@@ -352,9 +358,9 @@ def _unknown(effect: Effect, parameter: EffectParameter, low: float, high: float
     return Unknown(f"{effect.name}__{parameter.name}", low, high)
 
 
-def _neutral_effect(effect: Effect, **given: float) -> BenchEffect:
+def _neutral_effect(effect: Effect, **overrides: float) -> BenchEffect:
     values = {p.name: p.neutral for p in effect.parameters}
-    values |= {name: value for name, value in given.items() if name in values}
+    values |= {name: value for name, value in overrides.items() if name in values}
     return BenchEffect(
         effect.name, {name: EffectParameterValue(value) for name, value in values.items()}
     )

@@ -119,8 +119,8 @@ class FittedSet:
         terms."""
         sd = np.sqrt(np.diag(self.fit.covariance))
         correlation = self.fit.covariance / np.outer(sd, sd)
-        around = generator.multivariate_normal(np.zeros(sd.size), correlation, n, method="eigh")
-        return np.asarray(self.fit.peak() + sd * around + self.posterior.draw(generator, n).shift)
+        scatter = generator.multivariate_normal(np.zeros(sd.size), correlation, n, method="eigh")
+        return np.asarray(self.fit.peak() + sd * scatter + self.posterior.draw(generator, n).shift)
 
     @cached_property
     def explains_all(self) -> bool:
@@ -181,12 +181,12 @@ class Naming:
     @property
     def others(self) -> list[tuple[FittedSet, float]]:
         """All sets but ``final``."""
-        return [(own, p) for own, p in self.sets if own.explanation.keys != self.final.keys]
+        return [(entry, p) for entry, p in self.sets if entry.explanation.keys != self.final.keys]
 
     @property
     def alone(self) -> list[FittedSet]:
         """Sets of a single candidate, the most probable first."""
-        return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
+        return [entry for entry, _ in self.sets if len(entry.explanation.candidates) == 1]
 
 
 def averaged(
@@ -203,13 +203,13 @@ def averaged(
     model = posterior.fit.model
     rng, draws = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
     draws, order = draws.copy(), rng.permutation(len(draws))
-    for other, weight in others:
+    for rival, weight in others:
         if count := round(weight * len(draws)):
             rows, order = order[:count], order[count:]
-            whole = weighed(other.explanation, among) if among else other
-            common = sum(1 for _ in common_unknowns(model, other.fit.model))
-            own = whole.draws(rng, count)[:, :common]
-            draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
+            reweighed = weighed(rival.explanation, among) if among else rival
+            common = sum(1 for _ in common_unknowns(model, rival.fit.model))
+            rival_draws = reweighed.draws(rng, count)[:, :common]
+            draws[rows, :common] = np.clip(rival_draws, model.low[:common], model.high[:common])
     return posterior.with_model(draws)
 
 
@@ -252,11 +252,11 @@ class SetSearch:
         self,
         nominal: Explanation,
         candidates: Callable[[Sequence[float]], Sequence[Candidate]],
-        most: int,
+        max_size: int,
         among: Sequence[Direction] = (),
         progress: Progress = silent,
     ) -> None:
-        self._catalogue, self._most, self._among = candidates, most, among
+        self._catalogue, self._most, self._among = candidates, max_size, among
         self._progress = progress
         # All sets share the recorder's noise, and its simulation is expensive.
         self._noise = noise_in_loop(nominal.fit)
@@ -272,7 +272,7 @@ class SetSearch:
     @property
     def best(self) -> FittedSet:
         """The most probable set."""
-        return max(self._sets.values(), key=lambda own: own.log_evidence)
+        return max(self._sets.values(), key=lambda entry: entry.log_evidence)
 
     def _climb(self) -> None:
         """Fit what the best set promises, until nothing promises more."""
@@ -290,9 +290,9 @@ class SetSearch:
                     break
                 continue
             # An early candidate may only have replaced a later one.
-            for less in list(self._reduced(best)):
+            for smaller in list(self._reduced(best)):
                 if len(self._sets) <= MOST_FITS:
-                    self._explore(less)
+                    self._explore(smaller)
             if self.best is best or len(self._sets) > MOST_FITS:
                 break
         self._shed()
@@ -325,40 +325,40 @@ class SetSearch:
     @property
     def sets(self) -> tuple[tuple[FittedSet, float], ...]:
         """All fitted sets, each with its probability, the most probable first."""
-        fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
-        weights = np.exp([own.log_evidence - fitted[0].log_evidence for own in fitted])
+        fitted = sorted(self._sets.values(), key=lambda entry: -entry.log_evidence)
+        weights = np.exp([entry.log_evidence - fitted[0].log_evidence for entry in fitted])
         return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
 
     def answer(self) -> Naming:
         """Name hypotheses by the threshold on their probability."""
         sets = self.sets
-        first, _ = sets[0]
-        nominal, best = self.nominal.explanation, first.explanation
+        best_set, _ = sets[0]
+        nominal, best = self.nominal.explanation, best_set.explanation
         naming = Naming(nominal, nominal, (), sets, repeats=True)
         if not best.candidates:
-            return replace(naming, repeats=not first.explains_all)
-        if self._is_unexplained(first):
+            return replace(naming, repeats=not best_set.explains_all)
+        if self._is_unexplained(best_set):
             return replace(naming, nearest=best)
-        labels = [(frozenset(own.explanation.names), p) for own, p in sets]
-        inclusion = {name: sum(p for own, p in labels if name in own) for name in best.names}
+        labels = [(frozenset(entry.explanation.names), p) for entry, p in sets]
+        inclusion = {name: sum(p for names, p in labels if name in names) for name in best.names}
         certain = [name for name, p in inclusion.items() if p >= NAMED_AT]
         effects, idle = [], set(range(len(best.candidates)))
         for group in [*((name,) for name in certain), *confounded(labels, certain)]:
-            place = next((k for k, name in enumerate(best.names) if name in group), None)
-            if place is None:
+            index = next((k for k, name in enumerate(best.names) if name in group), None)
+            if index is None:
                 continue
-            idle.discard(place)
-            name, rest = best.names[place], self._without(first, place)
-            gain = math.inf if rest is None else rest.fit.chi_square - first.fit.chi_square
+            idle.discard(index)
+            name, smaller = best.names[index], self._without(best_set, index)
+            gain = math.inf if smaller is None else smaller.fit.chi_square - best_set.fit.chi_square
             rivals = tuple(
-                (c, own.explanation)
-                for own, p in sets
-                for c in own.explanation.candidates
+                (c, entry.explanation)
+                for entry, p in sets
+                for c in entry.explanation.candidates
                 if c.label in group
-                and name not in own.explanation.names
+                and name not in entry.explanation.names
                 and p > (1.0 - NAMED_AT) * 0.1
             )
-            effects.append(NamedCandidate(best.candidates[place], gain, inclusion[name], rivals))
+            effects.append(NamedCandidate(best.candidates[index], gain, inclusion[name], rivals))
         final = (reduced(nominal, best, idle) if idle else best) or nominal
         return replace(
             naming,
@@ -369,61 +369,61 @@ class SetSearch:
 
     def beside(self, explanation: Explanation) -> Beside:
         """Linearise laws and drift at a fit; with a misfit, all other laws together too."""
-        rest = beside(explanation.fit, self._among)
-        if rest.explains:
-            return rest
+        linear_fit = beside(explanation.fit, self._among)
+        if linear_fit.explains:
+            return linear_fit
         explanation = explanation.with_derivatives()
         view = self._linearised(explanation, self._open(explanation))
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
         always = [t for t in view.terms if t.always]
-        whole = replace(view, terms=always, discrepancy=columns, groups=[group])
-        return replace(rest, posterior=search(whole, 0))
+        extended_view = replace(view, terms=always, discrepancy=columns, groups=[group])
+        return replace(linear_fit, posterior=search(extended_view, 0))
 
-    def _is_unexplained(self, own: FittedSet) -> bool:
+    def _is_unexplained(self, fitted: FittedSet) -> bool:
         """Whether the share of the disagreement that no hypothesis explains is too large.
 
         Means are left out: any friction explains them, and they may be nearly all of it.
         """
-        share = own.misfits[1:].sum() / max(float(self.nominal.beyond[1:].sum()), 1e-300)
-        return share > UNEXPLAINED_SHARE and not own.explains_all
+        share = fitted.misfits[1:].sum() / max(float(self.nominal.beyond[1:].sum()), 1e-300)
+        return share > UNEXPLAINED_SHARE and not fitted.explains_all
 
     def _is_hopeless(self) -> bool:
         """Whether no set explains enough yet for a few more hypotheses to explain nearly all."""
-        least = min(own.misfit for own in self._sets.values())
+        least = min(entry.misfit for entry in self._sets.values())
         return least > (1.0 - HOPEFUL_SHARE) * self.nominal.excess
 
-    def _stalls(self, before: FittedSet) -> bool:
+    def _stalls(self, previous: FittedSet) -> bool:
         """Whether the best set explains hardly more than the last one, and leaves much."""
         best = self.best
-        return not best.explains_all and best.misfit > (1.0 - HOPEFUL_SHARE) * before.misfit
+        return not best.explains_all and best.misfit > (1.0 - HOPEFUL_SHARE) * previous.misfit
 
-    def _is_far(self, own: FittedSet) -> bool:
+    def _is_far(self, fitted: FittedSet) -> bool:
         """Whether a missing effect may have drawn the gap far away."""
-        moving = any(observation.motion is not None for observation in own.fit.model.recordings)
-        return not moving and self._is_unexplained(own)
+        moving = any(observation.motion is not None for observation in fitted.fit.model.recordings)
+        return not moving and self._is_unexplained(fitted)
 
-    def _find_orders(self, own: FittedSet) -> None:
+    def _find_orders(self, fitted: FittedSet) -> None:
         """Add candidates at motor orders that the set's hypotheses had hidden."""
-        if own.explanation.candidates and own.explanation.keys not in self._explored:
-            late = {c.key: c for c in self._catalogue(motor_orders(own.fit))}
+        if fitted.explanation.candidates and fitted.explanation.keys not in self._explored:
+            late = {c.key: c for c in self._catalogue(motor_orders(fitted.fit))}
             self._candidates |= {k: c for k, c in late.items() if k not in self._candidates}
 
-    def _reduced(self, own: FittedSet) -> Iterator[FittedSet]:
-        for place in range(len(own.explanation.candidates)):
-            rest = self._without(own, place)
-            if rest is not None:
-                yield rest
+    def _reduced(self, fitted: FittedSet) -> Iterator[FittedSet]:
+        for index in range(len(fitted.explanation.candidates)):
+            smaller = self._without(fitted, index)
+            if smaller is not None:
+                yield smaller
 
-    def _without(self, own: FittedSet, place: int) -> FittedSet | None:
+    def _without(self, fitted: FittedSet, index: int) -> FittedSet | None:
         """A set without one of its hypotheses."""
-        keys = own.explanation.keys - {own.explanation.candidates[place].key}
+        keys = fitted.explanation.keys - {fitted.explanation.candidates[index].key}
         if keys not in self._sets:
-            less = reduced(self.nominal.explanation, own.explanation, [place])
-            if less is None:
+            smaller = reduced(self.nominal.explanation, fitted.explanation, [index])
+            if smaller is None:
                 return None
-            self._add(less)
+            self._add(smaller)
         return self._sets[keys]
 
     def _explore(self, base: FittedSet) -> None:
@@ -443,8 +443,8 @@ class SetSearch:
         gains = posterior.single_gains()
         excess = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
         least = max(min(excess.values(), default=0.0), 0.0)
-        contend = [(k,) for k in sorted(excess, key=lambda k: excess[k])]
-        contend = [t for t in contend if excess[t[0]] < LEAVES_MOST * least + SLACK]
+        contenders = [(k,) for k in sorted(excess, key=lambda k: excess[k])]
+        contenders = [t for t in contenders if excess[t[0]] < LEAVES_MOST * least + SLACK]
         best = self.best.log_evidence + math.log(1.0 - NAMED_AT)
         pairs = [
             terms
@@ -452,22 +452,28 @@ class SetSearch:
             if len(terms) == 2 and offset + posterior.log_evidence + math.log(p) > best
         ]
         tried: set[frozenset[tuple[str, float | None]]] = set()
-        for terms in (*contend, *pairs[:1]):
+        for terms in (*contenders, *pairs[:1]):
             added = [view.terms[i].source for i in terms]
-            whole = keys | {candidate.key for candidate, _ in added}
-            if whole in self._sets or whole in tried or len(tried) >= CONTENDERS + len(terms) - 1:
+            extended_keys = keys | {candidate.key for candidate, _ in added}
+            if (
+                extended_keys in self._sets
+                or extended_keys in tried
+                or len(tried) >= CONTENDERS + len(terms) - 1
+            ):
                 continue
-            tried.add(whole)
+            tried.add(extended_keys)
             sizes, shift = posterior.mean_of(terms)
-            starts = [(c, promised(c, at, own)) for (c, at), own in zip(added, sizes, strict=True)]
+            starts = [
+                (c, promised(c, start, size)) for (c, start), size in zip(added, sizes, strict=True)
+            ]
             fitted = refit(explanation, starts, shift)
             if fitted is not None:
                 self._add(fitted, base)
 
     def _open(self, base: Explanation) -> list[Candidate]:
         """Candidates that may be added to a set."""
-        every = self._candidates.values()
-        return [c for c in every if not any(own.bars(c) for own in base.candidates)]
+        candidates = self._candidates.values()
+        return [c for c in candidates if not any(member.bars(c) for member in base.candidates)]
 
     def _add(self, explanation: Explanation, base: FittedSet | None = None) -> FittedSet:
         """Add a set with its evidence; of two fits, keep the better.
@@ -477,27 +483,27 @@ class SetSearch:
         the excess of ``base``.
         """
         keys = explanation.keys
-        own = self._weighed(explanation)
+        fitted = self._weighed(explanation)
         if base is not None:
-            near = own.log_evidence > self.best.log_evidence + math.log(1.0 - NAMED_AT)
-            hopeful = base.explains_all or own.excess < (1.0 - HOPEFUL_SHARE) * base.excess
-            if hopeful and (near or own.excess < LEAVES_MOST * self.best.excess):
-                own = self._weighed(polished(explanation))
+            is_likely = fitted.log_evidence > self.best.log_evidence + math.log(1.0 - NAMED_AT)
+            hopeful = base.explains_all or fitted.excess < (1.0 - HOPEFUL_SHARE) * base.excess
+            if hopeful and (is_likely or fitted.excess < LEAVES_MOST * self.best.excess):
+                fitted = self._weighed(polished(explanation))
         if keys:
             self._progress(len(self._sets), max(len(self._sets), CONTENDERS + 2))
-        known = self._sets.get(keys)
-        if known is None or own.log_evidence > known.log_evidence:
-            self._sets[keys] = own
+        previous = self._sets.get(keys)
+        if previous is None or fitted.log_evidence > previous.log_evidence:
+            self._sets[keys] = fitted
         # The Jacobians of all sets together would fill the memory.
-        for other in self._sets.values():
-            if other is not self.best:
-                other.explanation = other.explanation.without_derivatives()
+        for entry in self._sets.values():
+            if entry is not self.best:
+                entry.explanation = entry.explanation.without_derivatives()
         return self._sets[keys]
 
     def _weighed(self, explanation: Explanation) -> FittedSet:
-        own = weighed(explanation, self._among, self._noise)
-        own.log_evidence += log_odds(self._probability) * len(explanation.candidates)
-        return own
+        fitted = weighed(explanation, self._among, self._noise)
+        fitted.log_evidence += log_odds(self._probability) * len(explanation.candidates)
+        return fitted
 
     def _linearised(self, explanation: Explanation, candidates: Sequence[Candidate]) -> Linearised:
         """The view at a fit: one term for each candidate and start."""
@@ -543,10 +549,12 @@ class SetSearch:
             shared = tuple(replace(u, recording=None) for u in candidate.unknowns)
             everywhere = replace(candidate, recording=None, unknowns=shared)
             simulated[key] = columns_of(fit, everywhere)
-        place = [observation.name for observation in fit.model.recordings].index(
+        index = [observation.name for observation in fit.model.recordings].index(
             candidate.recording
         )
-        return [[fit.model.only_in(place, column) for column in own] for own in simulated[key]]
+        return [
+            [fit.model.only_in(index, column) for column in columns] for columns in simulated[key]
+        ]
 
     def _excluded(self, candidate: Candidate) -> frozenset[str]:
         """Labels of hypotheses that cannot be in one set with a candidate."""
@@ -575,12 +583,12 @@ def weighed(
     at another fit.
     """
     view = linearised(explanation, (), among, noise)
-    alone = search(view, 0)
+    posterior = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
     # Laplace volume of the added unknowns; the posterior has that of all others.
     k = sum(len(c.unknowns) for c in explanation.candidates)
-    evidence = alone.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
-    return FittedSet(explanation, evidence, alone, np.array(beyond))
+    evidence = posterior.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
+    return FittedSet(explanation, evidence, posterior, np.array(beyond))
 
 
 def linearised(
@@ -593,7 +601,7 @@ def linearised(
     fit = explanation.fit
     noise = noise_in_loop(fit) if noise is None else noise
     labels, columns = always_terms(fit, among) if among else ((), [])
-    always = [label.term(by) for label, by in zip(labels, columns, strict=True)]
+    always = [label.term(term_columns) for label, term_columns in zip(labels, columns, strict=True)]
     forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
     return _banded(fit, [*terms, *always], forms, noise)
 
@@ -612,8 +620,8 @@ def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[Floa
     if candidate not in laws_of_shaft(explanation):
         return
     fit = explanation.fit
-    point, at = fit.point.copy(), np.array(explanation.places(candidate))
-    point[at[candidate.amplitudes]] = candidate.neutral[candidate.amplitudes]
+    point, indices = fit.point.copy(), np.array(explanation.places(candidate))
+    point[indices[candidate.amplitudes]] = candidate.neutral[candidate.amplitudes]
     signal = fit.model.whitened(point)[0] - fit.residual
     if np.all(np.isfinite(signal)):
         yield signal
@@ -637,7 +645,7 @@ def _banded(
     pull = np.where(stopped, 0.0, prior_pull(model, fit.point))
     columns = [fit.derivatives(), *(term.columns for term in terms)]
     columns += [signal[:, None] for signal in (*forms, fit.residual)]
-    size, own = sum(part.shape[1] for part in columns), len(forms)
+    size, form_count = sum(part.shape[1] for part in columns), len(forms)
     total = np.zeros((size, size))
     pieces: list[list[FloatArray]] = [[] for _ in BANDS]
     ends = np.cumsum([0, *(part.size for part in model.by_recording(fit.residual))])
@@ -648,24 +656,26 @@ def _banded(
         total += rows.T @ rows
         channels = rows.reshape(len(observation.signals), -1, size)
         for channel in channels:
-            for place, piece in enumerate(
+            for band_index, piece in enumerate(
                 _by_band(channel[observation.first_compared :], observation)
             ):
-                pieces[place].append(piece)
-    first = d + sum(widths)
-    several = sum(len(band) for band in pieces)
-    count = noise[0][0].shape[1] if noise else 0
+                pieces[band_index].append(piece)
+    form_start = d + sum(widths)
+    piece_count = sum(len(band) for band in pieces)
+    loop_count = noise[0][0].shape[1] if noise else 0
     usual = {BANDS[0]: MEAN_SHARE * _largest_line(model)}
-    blocks, bands, begin, at = [], [], 0, 0
-    for place, (highest, band) in enumerate(zip(BANDS, pieces, strict=True)):
+    blocks, bands, begin, piece_index = [], [], 0, 0
+    for band_index, (highest, band) in enumerate(zip(BANDS, pieces, strict=True)):
         stacked = []
-        for piece, around in itertools.zip_longest(band, noise[place] if noise else ()):
+        for piece, loop_columns in itertools.zip_longest(band, noise[band_index] if noise else ()):
             total -= piece.T @ piece
-            form = np.zeros((len(piece), several * own))
-            form[:, at * own : (at + 1) * own] = FORM_SHARE * piece[:, first : first + own]
-            at += 1
-            by_loop = np.zeros((len(piece), 0)) if around is None else around
-            stacked.append(np.hstack([piece[:, :first], form, by_loop, piece[:, -1:]]))
+            form = np.zeros((len(piece), piece_count * form_count))
+            form[:, piece_index * form_count : (piece_index + 1) * form_count] = (
+                FORM_SHARE * piece[:, form_start : form_start + form_count]
+            )
+            piece_index += 1
+            by_loop = np.zeros((len(piece), 0)) if loop_columns is None else loop_columns
+            stacked.append(np.hstack([piece[:, :form_start], form, by_loop, piece[:, -1:]]))
         rows = np.concatenate(stacked)
         freedom = len(rows)
         if freedom > rows.shape[1]:
@@ -676,16 +686,19 @@ def _banded(
             bands.append(MisfitBand(kind, own_rows, freedom, size_of))
             blocks.append(rows)
             begin += len(rows)
-    kept = [*range(first), size - 1]
+    kept = [*range(form_start), size - 1]
     values, vectors = np.linalg.eigh(total[np.ix_(kept, kept)])
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    rest = np.hstack([root[:, :-1], np.zeros((len(root), several * own + count)), root[:, -1:]])
-    view = np.concatenate([*blocks, rest])
+    remainder = np.hstack(
+        [root[:, :-1], np.zeros((len(root), piece_count * form_count + loop_count)), root[:, -1:]]
+    )
+    view = np.concatenate([*blocks, remainder])
     ends = d + np.cumsum([0, *widths])
     pairs = zip(terms, itertools.pairwise(ends), strict=True)
     banded = [replace(term, columns=view[:, a:b]) for term, (a, b) in pairs]
     banded += [
-        Term("always", view[:, k : k + 1], always=True) for k in range(first, view.shape[1] - 1)
+        Term("always", view[:, k : k + 1], always=True)
+        for k in range(form_start, view.shape[1] - 1)
     ]
     return Linearised(
         view[:, -1],
@@ -717,34 +730,34 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
     each.
     """
     model = fit.model
-    made: list[tuple[int, FloatArray]] = []
-    for place, observation in enumerate(model.recordings):
-        loop = loop_noise(fit, place)
+    simulated: list[tuple[int, FloatArray]] = []
+    for index, observation in enumerate(model.recordings):
+        loop = loop_noise(fit, index)
         if loop is not None:
             rows = (loop.around - loop.linear).reshape(
                 len(loop.around), len(observation.signals), -1
             )
             scale = math.sqrt(float(loop.shares.mean()) / len(rows))
-            made.append((place, scale * rows))
-    if not made:
+            simulated.append((index, scale * rows))
+    if not simulated:
         return []
     columns: list[list[FloatArray]] = [[] for _ in BANDS]
-    width = LOOP_COLUMNS * len(made)
-    by_place = dict(made)
-    for place, observation in enumerate(model.recordings):
-        around = by_place.get(place)
+    width = LOOP_COLUMNS * len(simulated)
+    by_place = dict(simulated)
+    for index, observation in enumerate(model.recordings):
+        excess = by_place.get(index)
         bands: list[FloatArray] = []
         for channel in range(len(observation.signals)):
-            length = observation.lag if around is None else around.shape[2]
-            own = np.zeros((length, 1)) if around is None else around[:, channel].T
-            bands += list(_spectral_bands(own, observation))
+            length = observation.lag if excess is None else excess.shape[2]
+            rotations = np.zeros((length, 1)) if excess is None else excess[:, channel].T
+            bands += list(_spectral_bands(rotations, observation))
         stacked = np.concatenate(bands)
         out = np.zeros((len(stacked), width))
-        if around is not None:
-            at = LOOP_COLUMNS * [p for p, _ in made].index(place)
+        if excess is not None:
+            first_column = LOOP_COLUMNS * [p for p, _ in simulated].index(index)
             basis, sizes, _ = np.linalg.svd(stacked, full_matrices=False)
-            most = min(LOOP_COLUMNS, sizes.size)
-            out[:, at : at + most] = basis[:, :most] * sizes[:most]
+            kept = min(LOOP_COLUMNS, sizes.size)
+            out[:, first_column : first_column + kept] = basis[:, :kept] * sizes[:kept]
         begin = 0
         for k, band in enumerate(bands):
             columns[k % len(BANDS)].append(out[begin : begin + len(band)])

@@ -210,27 +210,27 @@ def with_part(nominal: SimulatedFit, explanation: Explanation, probability: floa
     and a lag of microseconds makes the simulator slowest.
     """
     (part,) = explanation.candidates
-    places, own = explanation.places(part), nominal.point.size
-    sds = np.sqrt(np.diag(explanation.fit.covariance))[places].tolist()
+    indices, nominal_size = explanation.places(part), nominal.point.size
+    sds = np.sqrt(np.diag(explanation.fit.covariance))[indices].tolist()
     values = {
         u.name.partition("__")[2]: float(explanation.fit.point[k])
-        for u, k in zip(part.unknowns, places, strict=True)
+        for u, k in zip(part.unknowns, indices, strict=True)
     }
     effect = BenchEffect(part.name, {k: EffectParameterValue(v) for k, v in values.items()})
     bench, fit = nominal.model.bench, explanation.fit
-    stated = {own.name for own in bench.effects}
+    stated = {present.name for present in bench.effects}
     # Keep the controller's sampling: it did not replace the part.
     ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
     of_ticks = {DEAD_TIME, INSTANT_SHARE}
     kept = [
-        *range(own),
-        *(k for k, u in enumerate(fit.model.unknowns) if k >= own and u.name in of_ticks),
+        *range(nominal_size),
+        *(k for k, u in enumerate(fit.model.unknowns) if k >= nominal_size and u.name in of_ticks),
     ]
     model = nominal.model.beside(
         bench.with_effects(*bench.effects, *ticks, effect),
-        [fit.model.unknowns[k] for k in kept[own:]],
+        [fit.model.unknowns[k] for k in kept[nominal_size:]],
     )
-    alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
+    part_fit = fit_simulated(model, fit.point[kept], fit.steps[kept])
     directions = tuple(
         Direction(u.name, min(u.prior_sd, 3.0 * sd), 0.0, is_fitted=True)
         for u, sd in zip(part.unknowns, sds, strict=True)
@@ -240,7 +240,7 @@ def with_part(nominal: SimulatedFit, explanation: Explanation, probability: floa
         for u, value, sd in zip(part.unknowns, values.values(), sds, strict=True)
     )
     added = AddedPart(part.name, _frequency_hz(bench, part.name, values), probability, fitted)
-    return ElasticPart(alone, directions, added)
+    return ElasticPart(part_fit, directions, added)
 
 
 def _frequency_hz(bench: Bench, name: str, values: Mapping[str, float]) -> float:
@@ -278,8 +278,8 @@ def find_changes(
         among=among,
         progress=progress,
     )
-    final, rest = naming.final, naming.rest
-    explained = is_explained(final.fit) if rest is None else rest.explains
+    final, linear_fit = naming.final, naming.rest
+    explained = is_explained(final.fit) if linear_fit is None else linear_fit.explains
     names = dict.fromkeys(name for effect in naming.effects for name in effect.members)
     return naming, JointFindings(
         tuple(observation.name for observation in nominal.model.recordings),
@@ -330,8 +330,8 @@ def _against_known(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
     If there is none, or all recordings share the unknown, compare it with the bench.
     """
     slot, where = unknown.name, unknown.recording
-    own = {u.recording for u in fit.model.unknowns if u.name == slot}
-    other = next((r.name for r in fit.model.recordings if r.name not in own), None)
+    own_recordings = {u.recording for u in fit.model.unknowns if u.name == slot}
+    other = next((r.name for r in fit.model.recordings if r.name not in own_recordings), None)
     if where is not None and other is not None:
         return _against(fit, slot, where, other)
     by_bench = float(fit.model.bench.vector()[0, Slot[slot]])
@@ -348,7 +348,7 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
     first, *later = [observation.name for observation in fit.model.recordings]
     freed = {unknown.key for unknown in fit.model.unknowns}
     for candidate in final.candidates:
-        unknowns = [candidate.unknowns[place] for place in _stated_places(candidate)]
+        unknowns = [candidate.unknowns[index] for index in _stated_places(candidate)]
         if (
             len(later) == 1
             and candidate.recording == first
@@ -362,16 +362,16 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
 
 def _stated_places(candidate: Candidate) -> list[int]:
     """Indices of the values that a bench file needs, such as a period and its dead time."""
-    places = candidate.amplitudes
+    indices = candidate.amplitudes
     if candidate.effect is None:
-        return places
+        return indices
     effect = effect_named(candidate.name)
     stated = {
         effect.slots[shape.name].name
         for shape in effect.shapes
         if shape.starts or effect.resonance is not None
     }
-    return places + [i for i, u in enumerate(candidate.unknowns) if u.name in stated]
+    return indices + [i for i, u in enumerate(candidate.unknowns) if u.name in stated]
 
 
 def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
@@ -409,7 +409,7 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
     bench, recordings = model.bench, model.recordings
     # A factor cannot change a parameter of zero: an axis without gravity keeps none.
     changeable = {name: (name,) for name in CORRECTABLE_PARAMETERS} | CHANGED_TOGETHER
-    every = [
+    hypotheses = [
         *(c for c in candidates(bench, recordings, "all", peaks) if c.kind == "effect"),
         *(
             _changed(bench, name, names)
@@ -419,12 +419,12 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
         *_own_effects(bench),
     ]
     shared = {u.name for u in model.unknowns if u.recording is None}
-    everywhere = [c for c in every if not shared & {u.name for u in c.unknowns}]
+    everywhere = [c for c in hypotheses if not shared & {u.name for u in c.unknowns}]
     if len(recordings) == 1:
         return everywhere
-    own = {unknown.key for unknown in model.unknowns}
-    within = [c.within(observation.name) for observation in recordings for c in every]
-    return [*everywhere, *(c for c in within if not own & c.unknown_keys)]
+    existing_keys = {unknown.key for unknown in model.unknowns}
+    within = [c.within(observation.name) for observation in recordings for c in hypotheses]
+    return [*everywhere, *(c for c in within if not existing_keys & c.unknown_keys)]
 
 
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
@@ -479,12 +479,12 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
     first, last = model.recordings[0].name, model.recordings[-1].name
     if first == last:
         return []
-    toward = np.zeros(fit.point.size)
+    gradient = np.zeros(fit.point.size)
     for sign, name in ((1.0, last), (-1.0, first)):
-        place = model.index(GAP, name)
-        toward[place] = sign * model.unknowns[place].slope(np.array(fit.value(GAP, name)))
-    least = math.sqrt(float(chi2_isf(FALSE_ALARM / len(_candidates(fit, ())), 1)))
-    least += normal_isf(MISSED)
+        index = model.index(GAP, name)
+        gradient[index] = sign * model.unknowns[index].slope(np.array(fit.value(GAP, name)))
+    threshold = math.sqrt(float(chi2_isf(FALSE_ALARM / len(_candidates(fit, ())), 1)))
+    threshold += normal_isf(MISSED)
     derivatives, noise = fit.derivatives(), noise_along(fit)
     # A change by people has only a small probability.
     marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
@@ -495,7 +495,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
         if marginalised & {u.name for u in candidate.unknowns}:
             continue
         spots += [
-            _largest_hidden(fit, candidate, columns, derivatives, toward, least, noise)
+            _largest_hidden(fit, candidate, columns, derivatives, gradient, threshold, noise)
             for columns in columns_of(fit, candidate)
             if columns
         ]
@@ -510,28 +510,28 @@ def _largest_hidden(
     candidate: Candidate,
     columns: Sequence[FloatArray],
     derivatives: FloatArray,
-    toward: FloatArray,
-    least: float,
+    gradient: FloatArray,
+    threshold: float,
     noise: Callable[[FloatArray], FloatArray],
 ) -> HiddenChange:
     """The undetected change that moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
     matrix = np.column_stack(columns)
     across = derivatives.T @ matrix
-    moved = fit.covariance @ across
-    information = matrix.T @ matrix - across.T @ moved
-    pull = toward @ moved
+    shifts = fit.covariance @ across
+    information = matrix.T @ matrix - across.T @ shifts
+    pull = gradient @ shifts
     hidden = np.linalg.pinv(information, hermitian=True) @ pull
     reach = math.sqrt(max(float(pull @ hidden), 0.0))
-    place = candidate.amplitudes[0]
-    unknown = candidate.unknowns[place]
-    furthest = unknown.high - float(candidate.neutral[place])
+    index = candidate.amplitudes[0]
+    unknown = candidate.unknowns[index]
+    furthest = unknown.high - float(candidate.neutral[index])
     if reach > 0.0:
-        hidden *= least / reach
-        along = matrix @ hidden - derivatives @ (moved @ hidden)
-        hidden *= math.sqrt(float(np.mean(noise(along))))
-    size = float(np.linalg.norm(hidden))
-    if size > furthest or reach == 0.0:
-        hidden *= furthest / size if size > 0.0 else 0.0
-        size = furthest
-    expected, error_rad = float(candidate.neutral[place]), abs(float(pull @ hidden))
-    return HiddenChange(unknown.name, expected, size, error_rad)
+        hidden *= threshold / reach
+        projected = matrix @ hidden - derivatives @ (shifts @ hidden)
+        hidden *= math.sqrt(float(np.mean(noise(projected))))
+    norm = float(np.linalg.norm(hidden))
+    if norm > furthest or reach == 0.0:
+        hidden *= furthest / norm if norm > 0.0 else 0.0
+        norm = furthest
+    expected, error_rad = float(candidate.neutral[index]), abs(float(pull @ hidden))
+    return HiddenChange(unknown.name, expected, norm, error_rad)

@@ -247,7 +247,7 @@ def orthant(
     if len(bounded) == 1:
         sweeps = 1
     for _ in range(sweeps):
-        moved = 0.0
+        largest_change = 0.0
         for i in bounded:
             on = positive[:, i]
             # Rounding must not make a variance negative if the matrix is nearly singular.
@@ -257,10 +257,10 @@ def orthant(
             z = middle / np.sqrt(cavity)
             log_z = log_ndtr(z)
             hazard = np.exp(-0.5 * z * z - 0.5 * _LOG_TWO_PI - log_z)
-            far = z < -50.0
-            zf = np.where(far, z, -50.0)
-            shrunk = np.where(far, 1.0 / zf**2, 1.0 - hazard * (z + hazard))
-            inside = np.where(far, -np.sqrt(cavity) / zf, middle + np.sqrt(cavity) * hazard)
+            is_far = z < -50.0
+            zf = np.where(is_far, z, -50.0)
+            shrunk = np.where(is_far, 1.0 / zf**2, 1.0 - hazard * (z + hazard))
+            inside = np.where(is_far, -np.sqrt(cavity) / zf, middle + np.sqrt(cavity) * hazard)
             spread = cavity * np.clip(shrunk, 1e-12, 1.0)
             t_new = np.where(on, np.maximum(1.0 / spread - 1.0 / cavity, 0.0), 0.0)
             v_new = np.where(on, inside / spread - middle / cavity, 0.0)
@@ -270,13 +270,13 @@ def orthant(
             mu = mu + ((dv - dt * mu[:, i]) / grow)[:, None] * row
             sigma = sigma - (dt / grow)[:, None, None] * row[:, :, None] * row[:, None, :]
             t[:, i], v[:, i] = t_new, v_new
-            moved = max(moved, float(np.max(np.abs(dt) * s / grow)))
+            largest_change = max(largest_change, float(np.max(np.abs(dt) * s / grow)))
             site = -0.5 * np.log1p(t_new * cavity) + 0.5 * (
                 (middle / cavity + v_new) ** 2 * cavity / (1.0 + t_new * cavity)
                 - middle**2 / cavity
             )
             log_site[:, i] = np.where(on, log_z - site, 0.0)
-        if moved < 1e-4:
+        if largest_change < 1e-4:
             break
     tilted = precision + t[:, :, None] * np.eye(mean.shape[1])
     log_det = np.linalg.slogdet(tilted)[1] - np.linalg.slogdet(precision)[1]
@@ -296,9 +296,9 @@ def _inverse_root(gram: FloatArray) -> tuple[FloatArray, float]:
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > 1e-12 * max(1.0, float(values[-1]) if values.size else 1.0)
-    part = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+    root = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
     log_det = float(np.log(values[kept]).sum()) + 2.0 * float(np.log(scale).sum())
-    return np.asarray(part), log_det
+    return np.asarray(root), log_det
 
 
 def _root(matrix: np.ndarray) -> FloatArray:
@@ -371,19 +371,19 @@ class _Grams:
         terms = view.terms
         self.selected = [i for i, t in enumerate(terms) if not t.always]
         self.free = [i for i, t in enumerate(terms) if t.always and not t.positive]
-        own = [i for i in range(len(terms)) if i not in set(self.free)]
+        remaining = [i for i in range(len(terms)) if i not in set(self.free)]
         self.widths = np.array([t.columns.shape[1] for t in terms], dtype=int)
         ends = np.cumsum([0, *self.widths])
-        every = [np.arange(a, b) for a, b in itertools.pairwise(ends)]
+        column_ranges = [np.arange(a, b) for a, b in itertools.pairwise(ends)]
         nothing = np.zeros(0, dtype=int)
-        self.place = np.concatenate([nothing, *(every[i] for i in own)])
-        self.place_free = np.concatenate([nothing, *(every[i] for i in self.free)])
+        self.place = np.concatenate([nothing, *(column_ranges[i] for i in remaining)])
+        self.place_free = np.concatenate([nothing, *(column_ranges[i] for i in self.free)])
         self.d, self.k = view.jacobian.shape[1], self.place.size
         self.m = view.discrepancy.shape[1]
         self.scale_of_column = self._discrepancy_scale()
         nuisance = [view.jacobian, *(terms[i].columns for i in self.free)]
         h = view.discrepancy * self.scale_of_column
-        columns = [terms[i].columns for i in own]
+        columns = [terms[i].columns for i in remaining]
         everything = np.hstack([*nuisance, *columns, h, view.residual[:, None]])
         self.prior = np.eye(self.d + self.place_free.size)
         self.prior[: self.d, : self.d] = view.prior_precision
@@ -392,25 +392,25 @@ class _Grams:
         self.parts = [everything[b.rows].T @ everything[b.rows] for b in view.bands]
         self.rest_part = everything.T @ everything - sum(self.parts, np.zeros(()))
         self._bases: dict[tuple[int, ...], _Base] = {}
-        size = view.residual.size
-        lowest = 1.0 / math.sqrt(max(1, size))
+        samples = view.residual.size
+        lowest = 1.0 / math.sqrt(max(1, samples))
         steps = math.ceil(math.log(DISCREPANCY_LARGEST / lowest) / math.log(DISCREPANCY_SPACING))
         self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
-        alone = self.base((0,) * len(view.scaled))
-        gram_u = alone.nuisance_gram[: self.d, : self.d]
+        base = self.base((0,) * len(view.scaled))
+        gram_u = base.nuisance_gram[: self.d, : self.d]
         self.root_u, _ = _inverse_root(gram_u)
         self.inverse_u = self.root_u @ self.root_u.T
-        self.pull_u = alone.nuisance_pull[: self.d]
-        chi_square = alone.squares - float(self.pull_u @ self.inverse_u @ self.pull_u)
+        self.pull_u = base.nuisance_pull[: self.d]
+        chi_square = base.squares - float(self.pull_u @ self.inverse_u @ self.pull_u)
         effective = float(np.sum(self.inverse_u * (gram_u - view.prior_precision)))
-        self.excess_chi_square = chi_square - (size - effective)
-        starts = dict(zip(own, np.cumsum([0, *self.widths[own]]), strict=False))
-        self.columns_of = {i: starts[i] + np.arange(self.widths[i]) for i in own}
-        bound = [i for i in own if terms[i].always]
+        self.excess_chi_square = chi_square - (samples - effective)
+        starts = dict(zip(remaining, np.cumsum([0, *self.widths[remaining]]), strict=False))
+        self.columns_of = {i: starts[i] + np.arange(self.widths[i]) for i in remaining}
+        bound = [i for i in remaining if terms[i].always]
         self.bound_columns = np.concatenate([nothing, *(self.columns_of[i] for i in bound)])
         self.is_positive = np.zeros(self.k, dtype=bool)
         self.absent = np.zeros(self.k)
-        for i in own:
+        for i in remaining:
             self.is_positive[starts[i]] = terms[i].positive
             self.absent[starts[i]] = terms[i].absent
         even = even_probability(len({terms[i].hypothesis for i in self.selected}))
@@ -419,23 +419,23 @@ class _Grams:
             odds = log_odds(probability.get(terms[i].hypothesis, even))
             self.log_prior[i] = odds + math.log(terms[i].prior_weight)
         self.apart = self._apart()
-        there = {term.hypothesis for term in terms}
-        self.requires = [term.requires & there for term in terms]
+        present = {term.hypothesis for term in terms}
+        self.requires = [term.requires & present for term in terms]
         self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float]] = {}
 
     def base(self, level: tuple[int, ...]) -> _Base:
         """Everything after marginalising u and the terms always included, at the scales of the
         bands."""
-        own = level[len(self.view.groups) :]
-        if own not in self._bases:
+        indices = level[len(self.view.groups) :]
+        if indices not in self._bases:
             total = self.rest_part.copy()
             log_volume = 0.0
-            for index, band, part in zip(own, self.view.bands, self.parts, strict=True):
+            for index, band, part in zip(indices, self.view.bands, self.parts, strict=True):
                 variance = 1.0 + float(self.lattice[index]) ** 2
                 total += part / variance
                 log_volume -= 0.5 * band.freedom * math.log(variance)
-            self._bases[own] = _Base.of(total, self.prior, self.pull, log_volume)
-        return self._bases[own]
+            self._bases[indices] = _Base.of(total, self.prior, self.pull, log_volume)
+        return self._bases[indices]
 
     def _discrepancy_scale(self) -> FloatArray:
         size, squares = self.view.residual.size, (self.view.discrepancy**2).sum(axis=0)
@@ -456,15 +456,15 @@ class _Grams:
 
     def precision_of_h(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         """Indices of the present columns of h, and their prior precision."""
-        there, precision = [], []
+        present, precision = [], []
         for index, group in zip(level, self.view.groups, strict=False):
             if index:
-                inside = np.arange(self.m)[group.columns]
-                there.append(inside[self.scale_of_column[inside] > 0.0])
-                precision.append(np.full(there[-1].size, self.lattice[index] ** -2.0))
-        if not there:
+                indices = np.arange(self.m)[group.columns]
+                present.append(indices[self.scale_of_column[indices] > 0.0])
+                precision.append(np.full(present[-1].size, self.lattice[index] ** -2.0))
+        if not present:
             return np.zeros(0, dtype=int), np.zeros(0)
-        return np.concatenate(there), np.concatenate(precision)
+        return np.concatenate(present), np.concatenate(precision)
 
     def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float]:
         """Gram matrix and right side of the terms with h marginalised, and the ln evidence."""
@@ -472,21 +472,27 @@ class _Grams:
             k, base = self.k, self.base(level)
             gram, right = base.gram[:k, :k], base.right[:k]
             log_evidence = base.log_volume - 0.5 * base.chi_square
-            there, precision = self.precision_of_h(level)
-            if there.size:
-                at = there + k
+            present, precision = self.precision_of_h(level)
+            if present.size:
+                indices = present + k
                 root = np.sqrt(precision)
                 # (R⁻¹ G R⁻¹ + I), R² the precision, is well conditioned at every scale.
-                inside = base.gram[np.ix_(at, at)] / np.outer(root, root) + np.eye(there.size)
-                lower = _root(inside)
-                cross = np.linalg.solve(lower, base.gram[np.ix_(at, np.arange(k))] / root[:, None])
-                own = np.linalg.solve(lower, base.right[at] / root)
+                scaled_gram = base.gram[np.ix_(indices, indices)] / np.outer(root, root) + np.eye(
+                    present.size
+                )
+                lower = _root(scaled_gram)
+                cross = np.linalg.solve(
+                    lower, base.gram[np.ix_(indices, np.arange(k))] / root[:, None]
+                )
+                scaled_right = np.linalg.solve(lower, base.right[indices] / root)
                 gram = _without_rounding(gram - cross.T @ cross)
-                right = right - cross.T @ own
-                log_evidence += 0.5 * float(own @ own) - float(np.log(np.diag(lower)).sum())
+                right = right - cross.T @ scaled_right
+                log_evidence += 0.5 * float(scaled_right @ scaled_right) - float(
+                    np.log(np.diag(lower)).sum()
+                )
                 # h cannot explain more than the total χ²; if it does, rounding dominates at its
                 # scale.
-                if float(own @ own) > (1.0 + 1e-6) * base.chi_square:
+                if float(scaled_right @ scaled_right) > (1.0 + 1e-6) * base.chi_square:
                     right, log_evidence = np.zeros(k), -math.inf
             absent = DISCREPANCY_ABSENT
             for index, group in zip(level, self.view.scaled, strict=True):
@@ -512,22 +518,22 @@ class _Grams:
         gram, right, base = self.at(level)
         result = np.array([base + sum(self.log_prior[i] for i in terms) for terms in sets])
         by_size: dict[int, list[int]] = {}
-        every = [self.columns(terms) for terms in sets]
-        for k, columns in enumerate(every):
+        columns_by_set = [self.columns(terms) for terms in sets]
+        for k, columns in enumerate(columns_by_set):
             by_size.setdefault(columns.size, []).append(k)
-        for size, places in by_size.items():
+        for size, indices in by_size.items():
             if size == 0:
                 continue
-            columns = np.stack([every[k] for k in places])
+            columns = np.stack([columns_by_set[k] for k in indices])
             precision = gram[columns[:, :, None], columns[:, None, :]] + np.eye(size)
             b = right[columns]
             mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
             values = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
             positive = self.is_positive[columns]
             if positive.any():
-                inside = orthant(mean, precision, positive, sweeps)[0]
-                values = values + math.log(2.0) * positive.sum(1) + inside
-            result[places] += values
+                log_orthant = orthant(mean, precision, positive, sweeps)[0]
+                values = values + math.log(2.0) * positive.sum(1) + log_orthant
+            result[indices] += values
         return result
 
     def extensions(self, terms: tuple[int, ...], level: tuple[int, ...]) -> FloatArray:
@@ -553,14 +559,16 @@ class _Grams:
             rows = np.flatnonzero(possible & (self.widths[selected] == width))
             if not rows.size:
                 continue
-            at = np.stack([self.columns_of[i] for i in selected[rows]])
-            precision = gram[at[:, :, None], at[:, None, :]] + np.eye(width)
-            b = right[at]
+            added_columns = np.stack([self.columns_of[i] for i in selected[rows]])
+            precision = gram[added_columns[:, :, None], added_columns[:, None, :]] + np.eye(width)
+            b = right[added_columns]
             mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
             value = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
             if width == 1:
                 z = mean[:, 0] * np.sqrt(precision[:, 0, 0])
-                value += np.where(self.is_positive[at[:, 0]], math.log(2.0) + log_ndtr(z), 0.0)
+                value += np.where(
+                    self.is_positive[added_columns[:, 0]], math.log(2.0) + log_ndtr(z), 0.0
+                )
             added[rows] = value + self.log_prior[selected[rows]]
         return added
 
@@ -604,9 +612,11 @@ def search(
     sets = sorted(sets, key=lambda terms: -pool[terms])[:MOST_KEPT]
     suits = {level: float(grams.log_posterior(sets[:1], level)[0]) for level in levels}
     suiting = [level for level in levels if suits[level] >= max(suits.values()) - KEPT_BELOW]
-    every = dict.fromkeys(n for level in suiting for n in (level, *_neighbours(grams, level)))
+    evaluated_levels = dict.fromkeys(
+        n for level in suiting for n in (level, *_neighbours(grams, level))
+    )
     scored: list[tuple[float, tuple[int, ...], tuple[int, ...]]] = []
-    for level in every:
+    for level in evaluated_levels:
         values = grams.log_posterior(sets, level)
         scored += zip(values.tolist(), sets, itertools.repeat(level))
     top = max(score for score, _, _ in scored)
@@ -625,21 +635,23 @@ def _enumerate(
     """ln prior times evidence of the sets worth keeping at one level."""
     start = float(grams.log_posterior([()], level)[0])
     result: dict[tuple[int, ...], float] = {(): start}
-    last: dict[tuple[int, ...], float] = {(): start}
+    current: dict[tuple[int, ...], float] = {(): start}
     for size in range(1, max_terms + 1):
-        wider: dict[tuple[int, ...], float] = {}
-        most = len(last) if size <= 2 else BEAM
-        for terms in sorted(last, key=lambda some: -last[some])[:most]:
+        extended: dict[tuple[int, ...], float] = {}
+        limit = len(current) if size <= 2 else BEAM
+        for terms in sorted(current, key=lambda candidate: -current[candidate])[:limit]:
             added = grams.extensions(terms, level)
             for k in np.flatnonzero(added > -FAR):
-                more = tuple(sorted((*terms, grams.selected[k])))
-                wider[more] = max(last[terms] + float(added[k]), wider.get(more, -np.inf))
-        if not wider:
+                larger = tuple(sorted((*terms, grams.selected[k])))
+                extended[larger] = max(
+                    current[terms] + float(added[k]), extended.get(larger, -np.inf)
+                )
+        if not extended:
             break
-        likely = sorted(wider, key=lambda some: -wider[some])[:MOST_WEIGHED]
-        weighed = grams.log_posterior(likely, level, sweeps=2).tolist()
-        last = dict(zip(likely, weighed, strict=True))
-        result |= {terms: value for terms, value in last.items() if grams.is_complete(terms)}
+        likeliest = sorted(extended, key=lambda candidate: -extended[candidate])[:MOST_WEIGHED]
+        values = grams.log_posterior(likeliest, level, sweeps=2).tolist()
+        current = dict(zip(likeliest, values, strict=True))
+        result |= {terms: value for terms, value in current.items() if grams.is_complete(terms)}
     return result
 
 
@@ -652,14 +664,14 @@ def _climb(grams: _Grams, terms: tuple[int, ...], start: tuple[int, ...]) -> tup
         return float(grams.log_posterior([terms], trial, sweeps=2)[0])
 
     for _ in range(2):
-        before = tuple(level)
+        previous = tuple(level)
         for group in range(len(level)):
-            tried = {i: value(group, i) for i in (0, *range(1, grams.lattice.size, 6))}
-            best = max(tried, key=lambda i: tried[i])
-            near = range(max(1, best - 4), min(grams.lattice.size, best + 5), 2) if best else ()
-            tried |= {i: value(group, i) for i in near}
-            level[group] = max(tried, key=lambda i: tried[i])
-        if tuple(level) == before:
+            scores = {i: value(group, i) for i in (0, *range(1, grams.lattice.size, 6))}
+            best = max(scores, key=lambda i: scores[i])
+            nearby = range(max(1, best - 4), min(grams.lattice.size, best + 5), 2) if best else ()
+            scores |= {i: value(group, i) for i in nearby}
+            level[group] = max(scores, key=lambda i: scores[i])
+        if tuple(level) == previous:
             break
     return tuple(level)
 
@@ -668,9 +680,9 @@ def _neighbours(grams: _Grams, level: tuple[int, ...]) -> Iterable[tuple[int, ..
     """Neighbouring levels: one group a step or two up, down, or absent."""
     for group, index in enumerate(level):
         steps = {0, index - 1, index + 1, index - 2, index + 2} if index else {1}
-        for other in sorted(steps - {index}):
-            if 0 <= other < grams.lattice.size:
-                yield (*level[:group], other, *level[group + 1 :])
+        for neighbour in sorted(steps - {index}):
+            if 0 <= neighbour < grams.lattice.size:
+                yield (*level[:group], neighbour, *level[group + 1 :])
 
 
 @dataclass(frozen=True, eq=False)
@@ -727,14 +739,14 @@ class ModelPosterior:
 
     def probability(self, labels: Iterable[str]) -> float:
         """Probability that at least one of some hypotheses holds."""
-        own = set(labels)
-        return min(1.0, sum(p for terms, p in self.sets.items() if own & self.labels(terms)))
+        wanted = set(labels)
+        return min(1.0, sum(p for terms, p in self.sets.items() if wanted & self.labels(terms)))
 
     def likeliest(self, label: str) -> int:
         """Index of the most probable term of a hypothesis."""
-        places = [k for k, t in enumerate(self.linearised.terms) if t.hypothesis == label]
+        indices = [k for k, t in enumerate(self.linearised.terms) if t.hypothesis == label]
         sets = self.sets.items()
-        return max(places, key=lambda k: sum(p for terms, p in sets if k in terms))
+        return max(indices, key=lambda k: sum(p for terms, p in sets if k in terms))
 
     @cached_property
     def confounded(self) -> tuple[tuple[str, ...], ...]:
@@ -754,16 +766,16 @@ class ModelPosterior:
         At the set's most probable scales, or at those of the most probable model if it has none.
         """
         grams = self._grams
-        own = (m._level for m in self.models if m.terms == terms)
-        level = next(own, self.models[0]._level)
+        levels = (m._level for m in self.models if m.terms == terms)
+        level = next(levels, self.models[0]._level)
         base = grams.base(level)
         columns, _, precision = grams.normal(terms, level)
         right = grams.at(level)[1][columns]
         sizes = _within(right, precision, grams.is_positive[columns])
         centre = base.inverse @ (base.nuisance_pull - base.cross[:, columns] @ sizes)
-        own_terms = [self.linearised.terms[i] for i in terms]
-        parts = np.split(sizes, np.cumsum([term.columns.shape[1] for term in own_terms]))
-        return [p * t.unit for p, t in zip(parts, own_terms, strict=False)], centre[: grams.d]
+        set_terms = [self.linearised.terms[i] for i in terms]
+        parts = np.split(sizes, np.cumsum([term.columns.shape[1] for term in set_terms]))
+        return [p * t.unit for p, t in zip(parts, set_terms, strict=False)], centre[: grams.d]
 
     def single_gains(self) -> dict[int, float]:
         """Gain in ln of prior times evidence by each selected term alone, without misfit."""
@@ -785,14 +797,16 @@ class ModelPosterior:
                 continue
             positive = self._grams.is_positive[columns]
             _, middle, spread = orthant(mean[None], precision[None], positive[None])
-            at = 0
+            first = 0
             for term in model.terms:
-                own = slice(at, at + self._grams.columns_of[term].size)
-                parts.setdefault(term, []).append((weight, middle[0, own], spread[0, own, own]))
-                at = own.stop
+                block = slice(first, first + self._grams.columns_of[term].size)
+                parts.setdefault(term, []).append(
+                    (weight, middle[0, block], spread[0, block, block])
+                )
+                first = block.stop
         by_term = {}
-        for term, every in parts.items():
-            weights, means, spreads = zip(*every, strict=True)
+        for term, entries in parts.items():
+            weights, means, spreads = zip(*entries, strict=True)
             by_term[term] = (np.array(weights), np.stack(means), np.stack(spreads))
         return by_term
 
@@ -829,13 +843,13 @@ class ModelPosterior:
         counts = np.diff(ends, prepend=0)
         width = grams.place.size + grams.place_free.size
         sizes, h, shift = (np.zeros((n, size)) for size in (width, grams.m, grams.d))
-        at, unshifted = 0, grams.inverse_u @ grams.pull_u
+        start, unshifted = 0, grams.inverse_u @ grams.pull_u
         for model, count in zip(self.models, counts, strict=True):
             if not count:
                 continue
-            rows = slice(at, at + count)
-            at += count
-            (own_generator,) = generator.spawn(1)
+            rows = slice(start, start + count)
+            start += count
+            (model_generator,) = generator.spawn(1)
             columns, mean, precision = grams.normal(model.terms, model._level)
             base = grams.base(model._level)
             a = _truncated(
@@ -844,37 +858,37 @@ class ModelPosterior:
                 grams.is_positive[columns],
                 grams.absent[columns],
                 count,
-                own_generator,
+                model_generator,
             )
             sizes[rows, grams.place[columns]] = a
-            there, prior = grams.precision_of_h(model._level)
-            both = np.concatenate([columns, there + grams.k])
-            if there.size:
-                inside = there + grams.k
-                gram = base.gram[np.ix_(inside, inside)] + np.diag(prior)
-                right = base.right[inside] - a @ base.gram[np.ix_(columns, inside)]
+            present, prior = grams.precision_of_h(model._level)
+            both = np.concatenate([columns, present + grams.k])
+            if present.size:
+                indices = present + grams.k
+                gram = base.gram[np.ix_(indices, indices)] + np.diag(prior)
+                right = base.right[indices] - a @ base.gram[np.ix_(columns, indices)]
                 lower = _root(gram)
                 centre = np.linalg.solve(gram, right.T).T
-                noise = own_generator.standard_normal((count, there.size))
-                h[rows, there] = centre + np.linalg.solve(lower.T, noise.T).T
+                noise = model_generator.standard_normal((count, present.size))
+                h[rows, present] = centre + np.linalg.solve(lower.T, noise.T).T
             if grams.free:
-                values = np.concatenate([a, h[rows, there]], axis=1)
+                values = np.concatenate([a, h[rows, present]], axis=1)
                 centre = (base.nuisance_pull - values @ base.cross[:, both].T) @ base.inverse
                 block = base.inverse[grams.d :, grams.d :]
                 root = _root(block)
-                noise = own_generator.standard_normal((count, block.shape[0]))
+                noise = model_generator.standard_normal((count, block.shape[0]))
                 sizes[rows, grams.place_free] = centre[:, grams.d :] + noise @ root.T
             inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
             # Rows with misfit leave u less certain than the draws of u alone have it.
             values, vectors = np.linalg.eigh(inverse_u - grams.inverse_u)
-            wider = own_generator.standard_normal((count, grams.d)) * np.sqrt(
+            extra = model_generator.standard_normal((count, grams.d)) * np.sqrt(
                 np.maximum(values, 0.0)
             )
             signal = sizes[rows][:, grams.place] @ base.cross[: grams.d, : grams.k].T
             signal += h[rows] @ base.cross[: grams.d, grams.k :].T
             signal += sizes[rows][:, grams.place_free] @ base.nuisance_gram[grams.d :, : grams.d]
             centre = (base.nuisance_pull[: grams.d] - signal) @ inverse_u
-            shift[rows] = centre + wider @ vectors.T - unshifted
+            shift[rows] = centre + extra @ vectors.T - unshifted
         order = generator.permutation(n)
         shift = shift[order]
         noise = generator.standard_normal((n, grams.root_u.shape[1]))
@@ -921,9 +935,9 @@ def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> F
         return right
     from scipy.optimize import lsq_linear
 
-    free = np.linalg.solve(precision, right)
-    if np.all(free[positive] >= 0.0):
-        return np.asarray(free)
+    unconstrained = np.linalg.solve(precision, right)
+    if np.all(unconstrained[positive] >= 0.0):
+        return np.asarray(unconstrained)
     lower = np.where(positive, 0.0, -np.inf)
     root = np.linalg.cholesky(precision).T
     return np.asarray(
@@ -947,20 +961,25 @@ def _truncated(
     bounded, free = np.flatnonzero(positive), np.flatnonzero(~positive)
     if bounded.size:
         sub = covariance[np.ix_(bounded, bounded)]
-        own = np.linalg.inv(sub)
+        sub_precision = np.linalg.inv(sub)
         middle = mean[bounded]
         x = np.maximum(np.broadcast_to(middle, (n, bounded.size)), 0.0).copy()
         for _ in range(GIBBS_SWEEPS if bounded.size > 1 else 1):
             for i in range(bounded.size):
-                sd = 1.0 / math.sqrt(own[i, i])
-                centre = x[:, i] - (x @ own[i] - middle @ own[i]) / own[i, i]
+                sd = 1.0 / math.sqrt(sub_precision[i, i])
+                centre = (
+                    x[:, i]
+                    - (x @ sub_precision[i] - middle @ sub_precision[i]) / sub_precision[i, i]
+                )
                 z = normal_between(-centre / sd, np.full(n, np.inf), generator.uniform(size=n))
                 x[:, i] = np.maximum(centre + sd * z, 0.0)
                 if absent[bounded[i]] > 0.0:
                     # Odds of a half-normal against zero, where the normal has exp(−c²/2s²).
-                    there = math.log(2.0 * sd) + log_ndtr(centre / sd) + 0.5 * (centre / sd) ** 2
-                    there -= log_odds(absent[bounded[i]])
-                    x[generator.uniform(size=n) > expit(there), i] = 0.0
+                    log_odds_present = (
+                        math.log(2.0 * sd) + log_ndtr(centre / sd) + 0.5 * (centre / sd) ** 2
+                    )
+                    log_odds_present -= log_odds(absent[bounded[i]])
+                    x[generator.uniform(size=n) > expit(log_odds_present), i] = 0.0
         result[:, bounded] = x
     if free.size:
         centre = np.broadcast_to(mean[free], (n, free.size))

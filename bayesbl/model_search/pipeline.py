@@ -115,22 +115,23 @@ def friction_drift(
 
 
 def rival_loops(
-    rest: Beside, among: Sequence[Direction], whole: float
+    linear_fit: Beside, among: Sequence[Direction], probability: float
 ) -> list[tuple[FittedSet, float]]:
-    """Other speed loops that explain the recordings as well, each with its share of ``whole``."""
-    fits = [rest.fit, *other_loops(rest)]
+    """Other speed loops that explain the recordings as well, each with its share of ``probability``."""
+    fits = [linear_fit.fit, *other_loops(linear_fit)]
     if len(fits) == 1:
         return []
     common = min(sum(1 for _ in common_unknowns(fits[0].model, f.model)) for f in fits[1:])
     sets = [weighed(Explanation((), fit), among) for fit in fits]
     evidence = np.array(
         [
-            own.log_evidence - sum(math.log(u.prior_sd) for u in own.fit.model.unknowns[common:])
-            for own in sets
+            entry.log_evidence
+            - sum(math.log(u.prior_sd) for u in entry.fit.model.unknowns[common:])
+            for entry in sets
         ]
     )
-    share = whole * np.exp(evidence - logsumexp(evidence))
-    return [(own, float(p)) for own, p in zip(sets[1:], share[1:], strict=True) if p > 0.0]
+    share = probability * np.exp(evidence - logsumexp(evidence))
+    return [(entry, float(p)) for entry, p in zip(sets[1:], share[1:], strict=True) if p > 0.0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,9 +169,9 @@ class AveragedFit:
 
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
         """Add to the draws the scatter of impacts, laws, drift, and all that the bench may lack."""
-        scattering, drifting, others = seed.spawn(3)
-        whole = marginalised(widened(posterior, scattering), self.rest.posterior, drifting)
-        return averaged(whole, self.others, others, self.among) if self.others else whole
+        scatter_seed, drift_seed, average_seed = seed.spawn(3)
+        full = marginalised(widened(posterior, scatter_seed), self.rest.posterior, drift_seed)
+        return averaged(full, self.others, average_seed, self.among) if self.others else full
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,27 +215,30 @@ def fit_jointly(
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
     allowing = of_stage(progress, f"Allowing for what the bench lacks in {name}")
-    rest = settled(nominal, among, allowing)
-    if rest.explains:
-        sets = () if moving else elastic_parts(rest.fit, among)
+    linear_fit = settled(nominal, among, allowing)
+    if linear_fit.explains:
+        sets = () if moving else elastic_parts(linear_fit.fit, among)
         for best, probability in sets[:1]:
             if best.explanation.candidates:
                 part = with_part(nominal, best.explanation, probability)
-                wider = [*among, *part.directions]
-                own = settled(part.fit, wider, allowing)
-                if own.explains:
-                    joint = changed_beside(own.fit, wider, part.added)
-                    return JointFit(rest=own, others=sets[1:], joint=joint)
-        others = [(own, p) for own, p in sets if own.explanation.candidates]
-        others += rival_loops(rest, among, 1.0 - sum(p for _, p in others))
-        return JointFit(rest=rest, others=others, joint=changed_beside(rest.fit, among))
+                extended = [*among, *part.directions]
+                part_fit = settled(part.fit, extended, allowing)
+                if part_fit.explains:
+                    joint = changed_beside(part_fit.fit, extended, part.added)
+                    return JointFit(rest=part_fit, others=sets[1:], joint=joint)
+        others = [(entry, p) for entry, p in sets if entry.explanation.candidates]
+        others += rival_loops(linear_fit, among, 1.0 - sum(p for _, p in others))
+        return JointFit(rest=linear_fit, others=others, joint=changed_beside(linear_fit.fit, among))
     seeking = of_stage(progress, f"Seeking changes in {name}")
-    naming, joint = find_changes(rest.fit, among=among, progress=seeking)
-    rest = naming.rest or beside(naming.final.fit, among)
-    if not rest.has_discrepancy:
+    naming, joint = find_changes(linear_fit.fit, among=among, progress=seeking)
+    linear_fit = naming.rest or beside(naming.final.fit, among)
+    if not linear_fit.has_discrepancy:
         # Lags in place of what is now named may no longer be needed.
-        free, known = settled(rest.fit, among, allowing), len(rest.fit.model.unknowns)
-        if all(u.recording is None for u in free.fit.model.unknowns[known:]):
-            rest = free
+        unlagged, count = (
+            settled(linear_fit.fit, among, allowing),
+            len(linear_fit.fit.model.unknowns),
+        )
+        if all(u.recording is None for u in unlagged.fit.model.unknowns[count:]):
+            linear_fit = unlagged
     # Sets that explain too little to be named know less about the misfit than the bench does.
-    return JointFit(rest=rest, others=naming.others if naming.effects else (), joint=joint)
+    return JointFit(rest=linear_fit, others=naming.others if naming.effects else (), joint=joint)

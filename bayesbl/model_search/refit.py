@@ -59,8 +59,8 @@ class Explanation:
 
     def places(self, candidate: Candidate) -> list[int]:
         """Indices of a candidate's unknowns in a point."""
-        last = {unknown.key: place for place, unknown in enumerate(self.fit.model.unknowns)}
-        return [last[unknown.key] for unknown in candidate.unknowns]
+        indices = {unknown.key: index for index, unknown in enumerate(self.fit.model.unknowns)}
+        return [indices[unknown.key] for unknown in candidate.unknowns]
 
     @property
     def log_prior(self) -> float:
@@ -107,22 +107,29 @@ def refit(
     model = base.fit.model
     for candidate, _ in added:
         model = extended(model, candidate)
-    there = base.fit.point
+    point = base.fit.point
     neutral = [c.neutral for c, _ in added]
     starts = []
     for share in SHARES_TRIED:
-        own = [
-            np.where(np.isfinite(c.usual) & ~c.is_at_full_size(at), zero + share * (at - zero), at)
-            for (c, at), zero in zip(added, neutral, strict=True)
+        added_points = [
+            np.where(
+                np.isfinite(c.usual) & ~c.is_at_full_size(coordinates),
+                zero + share * (coordinates - zero),
+                coordinates,
+            )
+            for (c, coordinates), zero in zip(added, neutral, strict=True)
         ]
-        starts += [np.concatenate([there + moved, *own]) for moved in (share * shift, 0.0 * shift)]
+        starts += [
+            np.concatenate([point + base_shift, *added_points])
+            for base_shift in (share * shift, 0.0 * shift)
+        ]
     trials = np.clip(np.stack(starts), model.low, model.high)
     chi_squares = np.array([chi_square(model, trial) for trial in trials])
     candidates = (*base.candidates, *(c for c, _ in added))
     with suppress(SimulationError):
         best, steps = trials[int(np.argmin(chi_squares))], base.fit.steps
-        known = base.fit.derivatives()
-        fit = fit_simulated(model, best, steps, rough=True, known=known)
+        jacobian = base.fit.derivatives()
+        fit = fit_simulated(model, best, steps, rough=True, known=jacobian)
         return Explanation(candidates, fit)
     return None
 
@@ -137,14 +144,14 @@ def reduced(
     if len(without) == len(full.candidates):
         return nominal
     kept = [c for k, c in enumerate(full.candidates) if k not in without]
-    at = list(range(nominal.fit.point.size))
+    indices = list(range(nominal.fit.point.size))
     for candidate in kept:
-        at += full.places(candidate)
+        indices += full.places(candidate)
     model = nominal.fit.model
     for candidate in kept:
         model = extended(model, candidate)
     try:
-        fit = fit_simulated(model, full.fit.point[at], full.fit.steps[at], one_sided=True)
+        fit = fit_simulated(model, full.fit.point[indices], full.fit.steps[indices], one_sided=True)
     except SimulationError:
         return None
     return Explanation(tuple(kept), fit)
@@ -157,22 +164,22 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
     Only the few with the best starting χ² are fitted. Returns those that remove much of the χ²,
     best first.
     """
-    model, own = nominal.fit.model, nominal.fit.point.size
-    places = []
+    model, nominal_size = nominal.fit.model, nominal.fit.point.size
+    scans = []
     for candidate in (c for c in candidates if c.scanned):
-        beside = extended(model, candidate)
-        neutral = {own + i: np.array([zero]) for i, zero in enumerate(candidate.neutral)}
-        grids = neutral | {own + i: grid for i, grid in candidate.scanned.items()}
-        start = aligned_starts(beside, grids, SCANNED_GAPS)[0]
-        places.append((chi_square(beside, start), start, beside, candidate))
+        extended_model = extended(model, candidate)
+        neutral = {nominal_size + i: np.array([zero]) for i, zero in enumerate(candidate.neutral)}
+        grids = neutral | {nominal_size + i: grid for i, grid in candidate.scanned.items()}
+        start = aligned_starts(extended_model, grids, SCANNED_GAPS)[0]
+        scans.append((chi_square(extended_model, start), start, extended_model, candidate))
     fitted = []
-    for _, start, beside, candidate in sorted(places, key=lambda p: p[0])[:MOST_FROM_AFAR]:
+    for _, start, extended_model, candidate in sorted(scans, key=lambda p: p[0])[:MOST_FROM_AFAR]:
         with suppress(SimulationError):
-            fit = fit_simulated(beside, start, nominal.fit.steps, rough=True)
+            fit = fit_simulated(extended_model, start, nominal.fit.steps, rough=True)
             fitted.append(Explanation((*nominal.candidates, candidate), fit))
-    size = nominal.fit.residual.size
-    most = size + LEFT_FROM_AFAR * (nominal.fit.chi_square - size)
-    hopeful = [e for e in fitted if e.fit.chi_square < most]
+    samples = nominal.fit.residual.size
+    limit = samples + LEFT_FROM_AFAR * (nominal.fit.chi_square - samples)
+    hopeful = [e for e in fitted if e.fit.chi_square < limit]
     return sorted(hopeful, key=lambda e: e.fit.chi_square)
 
 
@@ -208,20 +215,20 @@ def _columns(
 
     ``model``: includes the candidate, whose unknowns come last.
     """
-    own = start.copy()
-    own[candidate.amplitudes] = candidate.neutral[candidate.amplitudes]
+    neutral_start = start.copy()
+    neutral_start[candidate.amplitudes] = candidate.neutral[candidate.amplitudes]
     if phase is not None:
-        own[candidate.phases] = phase
+        neutral_start[candidate.phases] = phase
     amount = float(start[amplitude] - candidate.neutral[amplitude])
     if amount == 0.0:
         # A thousandth of the range, downwards at its upper end; from below the range, up to its
         # lower end.
-        unknown, at = candidate.unknowns[amplitude], float(own[amplitude])
-        amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - at)
-        amount = amount if at + amount <= unknown.high else -amount
-    here = np.concatenate([fit.point, own])
-    moved = here.copy()
-    moved[fit.point.size + amplitude] += amount
+        unknown, value = candidate.unknowns[amplitude], float(neutral_start[amplitude])
+        amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - value)
+        amount = amount if value + amount <= unknown.high else -amount
+    point = np.concatenate([fit.point, neutral_start])
+    trial = point.copy()
+    trial[fit.point.size + amplitude] += amount
     # A newly added effect changes nothing at its neutral value, so the fit's residual is valid
     # here.
     is_fit = model.bench is not fit.model.bench
@@ -236,8 +243,8 @@ def _columns(
         part = model.by_recording(change)[k].reshape(-1)
         part[:] = model.by_recording(fit.residual)[k].reshape(-1)
         if not is_fit:
-            part[:] = model.whitened_of(here, k)[0]
-        part -= model.whitened_of(moved, k)[0]
+            part[:] = model.whitened_of(point, k)[0]
+        part -= model.whitened_of(trial, k)[0]
 
     in_threads(fill, owners, model.workers)
     change /= amount
@@ -258,9 +265,9 @@ def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> Floa
     # a sin(nθ + φ) = a cos φ · (phase 0) + a sin φ · (phase π/2)
     coordinates[amplitudes] = float(np.median(np.hypot(sine, cosine)))
     phases = np.arctan2(cosine, sine)
-    for k, at in enumerate(candidate.phases):
+    for k, index in enumerate(candidate.phases):
         phase = float(phases[min(k, phases.size - 1)])
-        coordinates[at] = (phase + math.pi) % (2.0 * math.pi) - math.pi
+        coordinates[index] = (phase + math.pi) % (2.0 * math.pi) - math.pi
     return coordinates
 
 

@@ -157,16 +157,16 @@ class _Residual:
     def fit(self) -> None:
         """Fit waves to the non-repeating part, and waves of whole load orders to all of it."""
         n, rotations = self.values.size, self.rotations
-        whole = np.repeat([False, *(c % rotations == 0.0 for c in self.cycles)], 2)[1:]
-        apart = self._without_repeating(self.waves[:, ~whole])
-        beside = self._without_repeating(self.values[:, None])[:, 0]
-        self.coefficients = np.zeros(whole.size)
-        self.coefficients[~whole] = np.linalg.lstsq(apart, beside)[0]
-        self.noise = beside - apart @ self.coefficients[~whole]
-        rest = self.values - self.waves @ self.coefficients
-        own = self.waves[:, whole]
-        self.coefficients[whole] = np.linalg.lstsq(own, rest - rest.mean())[0]
-        self.rest = rest - own @ self.coefficients[whole]
+        is_whole = np.repeat([False, *(c % rotations == 0.0 for c in self.cycles)], 2)[1:]
+        non_repeating_waves = self._without_repeating(self.waves[:, ~is_whole])
+        non_repeating = self._without_repeating(self.values[:, None])[:, 0]
+        self.coefficients = np.zeros(is_whole.size)
+        self.coefficients[~is_whole] = np.linalg.lstsq(non_repeating_waves, non_repeating)[0]
+        self.noise = non_repeating - non_repeating_waves @ self.coefficients[~is_whole]
+        remainder = self.values - self.waves @ self.coefficients
+        whole_waves = self.waves[:, is_whole]
+        self.coefficients[is_whole] = np.linalg.lstsq(whole_waves, remainder - remainder.mean())[0]
+        self.rest = remainder - whole_waves @ self.coefficients[is_whole]
         power = np.abs(np.fft.rfft(self.noise)) ** 2 / n
         between = np.flatnonzero(np.arange(power.size) % rotations)
         median = median_filter(power[between], min(MEDIAN_BINS, between.size)) / math.log(2.0)
@@ -186,10 +186,12 @@ class _Residual:
         power = np.abs(np.fft.rfft(values)) ** 2 / values.size / self.floor
         comb = power[:: self.rotations].copy()
         comb[0] = 0.0
-        beside = np.ones(2 * NEIGHBOURS + 1, dtype=bool)
-        beside[NEIGHBOURS] = False
-        around = np.lib.stride_tricks.sliding_window_view(np.pad(comb, NEIGHBOURS), beside.size)
-        comb[comb <= STANDS_OUT * around[:, beside].max(axis=1)] = 0.0
+        is_neighbour = np.ones(2 * NEIGHBOURS + 1, dtype=bool)
+        is_neighbour[NEIGHBOURS] = False
+        windows = np.lib.stride_tricks.sliding_window_view(
+            np.pad(comb, NEIGHBOURS), is_neighbour.size
+        )
+        comb[comb <= STANDS_OUT * windows[:, is_neighbour].max(axis=1)] = 0.0
         comb[self.of_load] = 0.0
         power[:: self.rotations] = comb
         power[: self.rotations] = 0.0  # below a cycle in a rotation is drift
@@ -208,13 +210,19 @@ class _Residual:
         variance = self.values.size * float(self.floor[round(cycles)])
         order = cycles / rotations
         if abs(order - round(order)) * rotations < 0.5:
-            whole = float(round(order) * rotations)
-            return _power(self.rest - self.rest.mean(), position, whole) / variance, whole
+            whole_cycles = float(round(order) * rotations)
+            return _power(
+                self.rest - self.rest.mean(), position, whole_cycles
+            ) / variance, whole_cycles
 
         def off_comb(cycles: float) -> float:
-            below = rotations * math.sin(math.pi * cycles / rotations)
-            kept = 1.0 - (math.sin(math.pi * cycles) / below) ** 2 if abs(below) > 1e-9 else 0.0
-            return -_power(self.noise, position, cycles) / max(kept, 1e-3) / variance
+            denominator = rotations * math.sin(math.pi * cycles / rotations)
+            kept_share = (
+                1.0 - (math.sin(math.pi * cycles) / denominator) ** 2
+                if abs(denominator) > 1e-9
+                else 0.0
+            )
+            return -_power(self.noise, position, cycles) / max(kept_share, 1e-3) / variance
 
         ends = (cycles - 0.9, cycles + 0.9)
         best = minimize_scalar(off_comb, bounds=ends, method="bounded", options={"xatol": 1e-3})
@@ -279,8 +287,8 @@ class _Residual:
 
     def over_noise(self, repeating: float) -> float:
         """Power of the repeating part, lines and drift, over the noise power."""
-        other = float(np.mean((self.values - self.rest) ** 2))
-        return (repeating + other) / float(np.mean(self.floor[:-1]))
+        removed = float(np.mean((self.values - self.rest) ** 2))
+        return (repeating + removed) / float(np.mean(self.floor[:-1]))
 
 
 def _power(values: FloatArray, position: FloatArray, cycles: float) -> float:
@@ -296,13 +304,13 @@ def residuals_of(fit: SimulatedFit) -> ResidualAnalysis:
     steady = [
         i for i, r in enumerate(model.recordings) if r.motion is None and r.motor_lines is None
     ]
-    own = [fit.simulated(i) for i in steady]
+    predictions = [fit.simulated(i) for i in steady]
     # Bridged samples contain nothing that repeats.
     observations = [
-        replace(r, signals=made + r.residual_of(made))
-        for r, made in zip((model.recordings[i] for i in steady), own, strict=True)
+        replace(r, signals=prediction + r.residual_of(prediction))
+        for r, prediction in zip((model.recordings[i] for i in steady), predictions, strict=True)
     ]
-    return analyse_residuals(observations, own)
+    return analyse_residuals(observations, predictions)
 
 
 def motor_orders(fit: SimulatedFit) -> list[float]:
@@ -310,17 +318,17 @@ def motor_orders(fit: SimulatedFit) -> list[float]:
 
     Returns none for recordings that hold less than two rotations.
     """
-    near = SIDEBANDS / fit.model.bench.value("gear_ratio")
+    tolerance = SIDEBANDS / fit.model.bench.value("gear_ratio")
     try:
         remaining = residuals_of(fit).remaining
     except RecordingError:
         return []
     powers: dict[float, float] = {}
     for entry in remaining:
-        whole = float(round(entry.lowest_order)) if entry.dependence in TURNING else 0.0
-        if whole and abs(entry.lowest_order - whole) < near:
-            every = sum(e.amplitude**2 for e in remaining if e.channel == entry.channel)
-            powers[whole] = powers.get(whole, 0.0) + entry.amplitude**2 / every
+        whole_order = float(round(entry.lowest_order)) if entry.dependence in TURNING else 0.0
+        if whole_order and abs(entry.lowest_order - whole_order) < tolerance:
+            channel_power = sum(e.amplitude**2 for e in remaining if e.channel == entry.channel)
+            powers[whole_order] = powers.get(whole_order, 0.0) + entry.amplitude**2 / channel_power
     return sorted(powers, key=lambda order: -powers[order])[:MOST_ORDERS]
 
 
@@ -352,17 +360,20 @@ def analyse_residuals(
         name for observation in recordings for name in observation.channels
     ):
         pairs = zip(recordings, simulated, strict=True)
-        own = [
-            _residual(observation, made, channel)
-            for observation, made in pairs
+        residuals = [
+            _residual(observation, prediction, channel)
+            for observation, prediction in pairs
             if channel in observation.channels
         ]
-        lines = list(_lines(own, false_lines / tests))
-        repeating = [one.repeating(false_lines / tests, tests) for one in own]
-        power += sum(one.over_noise(size) for one, (size, _) in zip(own, repeating, strict=True))
-        remaining += _with_load(channel, own, repeating)
-        remaining += (_line(channel, own, *line) for line in lines)
-        remaining += _numbers(channel, own, tests)
+        lines = list(_lines(residuals, false_lines / tests))
+        repeating = [residual.repeating(false_lines / tests, tests) for residual in residuals]
+        power += sum(
+            residual.over_noise(size)
+            for residual, (size, _) in zip(residuals, repeating, strict=True)
+        )
+        remaining += _with_load(channel, residuals, repeating)
+        remaining += (_line(channel, residuals, *line) for line in lines)
+        remaining += _numbers(channel, residuals, tests)
     return ResidualAnalysis(tuple(remaining), power)
 
 
@@ -398,64 +409,72 @@ def _residual(observation: Observed, simulated: FloatArray, channel: str) -> _Re
     )
 
 
-def _lines(own: Sequence[_Residual], chance: float) -> Iterator[tuple[What, list[tuple[int, int]]]]:
+def _lines(
+    residuals: Sequence[_Residual], chance: float
+) -> Iterator[tuple[What, list[tuple[int, int]]]]:
     """Remove the lines of one channel from every recording that shows them, the strongest first.
 
     Yields what each line repeats with, unless that is the load alone, and its (recording, line)
     indices.
     """
     for _ in range(MOST_LINES):
-        tops: list[tuple[float, int, Scale, int]] = []
-        for i, one in enumerate(own):
+        peaks: list[tuple[float, int, Scale, int]] = []
+        for i, residual in enumerate(residuals):
             for scale in BETWEEN_ORDERS:
-                score = one.scores(scale)
+                score = residual.scores(scale)
                 k = int(np.argmax(score))
-                tops.append((float(score[k]) - math.log(2.0 * score.size), i, scale, k))
-        most, first, _, k = max(tops)
-        if most < -math.log(chance):
+                peaks.append((float(score[k]) - math.log(2.0 * score.size), i, scale, k))
+        highest, strongest_index, _, k = max(peaks)
+        if highest < -math.log(chance):
             return
         # Position of the line on each scale, per second or per motor turn.
-        strongest = own[first]
-        at = {s: strongest.gain(s, k)[1] / strongest.lengths[s] for s in BETWEEN_ORDERS}
+        strongest = residuals[strongest_index]
+        positions = {s: strongest.gain(s, k)[1] / strongest.lengths[s] for s in BETWEEN_ORDERS}
         if k % strongest.rotations == 0:
-            at[LOAD] = k / strongest.lengths[LOAD]
-        gains = {s: [one.gain(s, x * one.lengths[s]) for one in own] for s, x in at.items()}
-        totals = {s: sum(gain for gain, _ in each) for s, each in gains.items()}
-        near = [s for s in totals if totals[s] >= max(totals.values()) - CLEARLY]
-        half = 2.0 * at[MOTOR]
-        whole = round(half) > 0 and abs(half - round(half)) * strongest.lengths[MOTOR] < 1.0
-        by_order = MOTOR in near and whole
-        drawn = MOTOR if by_order else LOAD if LOAD in near else near[0]
+            positions[LOAD] = k / strongest.lengths[LOAD]
+        gains = {
+            s: [residual.gain(s, x * residual.lengths[s]) for residual in residuals]
+            for s, x in positions.items()
+        }
+        totals = {s: sum(gain for gain, _ in pairs) for s, pairs in gains.items()}
+        plausible = [s for s in totals if totals[s] >= max(totals.values()) - CLEARLY]
+        half = 2.0 * positions[MOTOR]
+        is_whole = round(half) > 0 and abs(half - round(half)) * strongest.lengths[MOTOR] < 1.0
+        by_order = MOTOR in plausible and is_whole
+        drawn = MOTOR if by_order else LOAD if LOAD in plausible else plausible[0]
         places = []
         for i, (gain, cycles) in enumerate(gains[drawn]):
-            if i == first or gain > -math.log(chance):
-                own[i].take_out(drawn, cycles)
-                places.append((i, len(own[i].cycles) - 1))
+            if i == strongest_index or gain > -math.log(chance):
+                residuals[i].take_out(drawn, cycles)
+                places.append((i, len(residuals[i].cycles) - 1))
         if drawn != LOAD:
-            yield drawn if by_order or len(near) == 1 else "angle or time", places
+            yield drawn if by_order or len(plausible) == 1 else "angle or time", places
 
 
 def _line(
-    channel: str, own: Sequence[_Residual], dependence: What, places: Sequence[tuple[int, int]]
+    channel: str,
+    residuals: Sequence[_Residual],
+    dependence: What,
+    places: Sequence[tuple[int, int]],
 ) -> Unexplained:
     """A line of the motor angle or of time, in all recordings that show it."""
-    size, i, k = max((float(own[i].amplitudes[k]), i, k) for i, k in places)
-    cycles, lengths = own[i].cycles[k], own[i].lengths
+    size, i, k = max((float(residuals[i].amplitudes[k]), i, k) for i, k in places)
+    cycles, lengths = residuals[i].cycles[k], residuals[i].lengths
     order = math.nan if dependence == TIME else cycles / lengths[MOTOR]
     hertz = math.nan if dependence == MOTOR else cycles / lengths[TIME]
-    shown = tuple(own[i].recording for i, _ in places)
+    shown = tuple(residuals[i].recording for i, _ in places)
     return Unexplained(channel, dependence, size, unit_of(channel), order, order, hertz, shown)
 
 
 def _with_load(
     channel: str,
-    own: Sequence[_Residual],
+    residuals: Sequence[_Residual],
     repeating: Sequence[tuple[float, tuple[int, int] | None]],
 ) -> Iterator[Unexplained]:
     """What repeats with the load: a line of a load order, or a whole band."""
     shown = [
-        (one.recording, size, orders)
-        for one, (size, orders) in zip(own, repeating, strict=True)
+        (residual.recording, size, orders)
+        for residual, (size, orders) in zip(residuals, repeating, strict=True)
         if orders is not None
     ]
     if shown:
@@ -466,19 +485,21 @@ def _with_load(
         yield Unexplained(channel, LOAD, size, unit, float(low), float(high), math.nan, names)
 
 
-def _numbers(channel: str, own: Sequence[_Residual], tests: int) -> Iterator[Unexplained]:
+def _numbers(channel: str, residuals: Sequence[_Residual], tests: int) -> Iterator[Unexplained]:
     """Significant offset and drift of a channel, the largest over the recordings."""
     unit, nan = unit_of(channel), math.nan
-    every: list[tuple[What, str, list[tuple[float, float]]]] = [
-        ("offset", unit, [one.offset for one in own]),
-        ("drift", f"{unit}/s", [one.drift_per_s for one in own]),
+    quantities: list[tuple[What, str, list[tuple[float, float]]]] = [
+        ("offset", unit, [residual.offset for residual in residuals]),
+        ("drift", f"{unit}/s", [residual.drift_per_s for residual in residuals]),
     ]
-    for what, own_unit, unexplained in every:
-        sure = {
-            one.recording: value
-            for one, (value, error) in zip(own, unexplained, strict=True)
+    for kind, quantity_unit, unexplained in quantities:
+        significant = {
+            residual.recording: value
+            for residual, (value, error) in zip(residuals, unexplained, strict=True)
             if 2.0 * float(norm.sf(abs(value) / error)) * tests <= SURE
         }
-        if sure:
-            largest = max(sure.values(), key=abs)
-            yield Unexplained(channel, what, largest, own_unit, nan, nan, nan, tuple(sure))
+        if significant:
+            largest = max(significant.values(), key=abs)
+            yield Unexplained(
+                channel, kind, largest, quantity_unit, nan, nan, nan, tuple(significant)
+            )
