@@ -40,7 +40,7 @@ from bayesbl.matching.posterior import TAILS
 from bayesbl.matching.predictive_check import agrees
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.measurement.direct_route import NO_DRIFT
-from bayesbl.model_search.always_in import beside, directions, settled
+from bayesbl.model_search.always_in import directions, linearised_fit, with_far_terms_freed
 from bayesbl.model_search.joint_change import find_changes
 from bayesbl.model_search.pipeline import direct_unknowns
 from bayesbl.probabilities import normal_isf
@@ -159,11 +159,11 @@ def _answered(
     model = SimulatedSignals(bench, seen, unknowns, [noise_of(s, s.signals) for s in seen])
     nominal = refitted(model, fit_simulated(model, np.array(point)))
     among = directions(bench, NO_DRIFT)
-    rest = settled(nominal, among)
+    rest = with_far_terms_freed(nominal, among)
     withheld, told = False, any(u.added for u in rest.fit.model.unknowns)
     if not agrees(rest.check):
         naming, joint_findings = find_changes(rest.fit, among=among)
-        rest = naming.rest or beside(naming.final.fit, among)
+        rest = naming.linear_fit or linearised_fit(naming.final.fit, among)
         told = bool(joint_findings.changed)
         withheld = not (joint_findings.explained or rest.is_useful)
     fit = rest.fit

@@ -28,7 +28,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.model_search.always_in import laws, settled
+from bayesbl.model_search.always_in import laws, with_far_terms_freed
 
 GAP_RAD = 2.3e-4
 SPEEDS_RPM = (2000.0, -2000.0, 1200.0)
@@ -73,7 +73,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen)]
     alone = fit_aligned(bench, seen, unknowns)
-    rest = settled(alone, laws(bench))
+    rest = with_far_terms_freed(alone, laws(bench))
     fit = rest.fit
     place, rng, truth = fit.model.index(GAP), np.random.default_rng(1), math.log(GAP_RAD)
     draws = fit.point[place] + fit.sd(GAP) * rng.standard_normal(DRAWS)

@@ -231,7 +231,7 @@ def _answer(
                         result.final, name, result.posterior
                     ).items()
                 },
-                "indistinguishable_from": _alike(result, name),
+                "indistinguishable_from": _indistinguishable(result, name),
             }
             for name in _free_effects(result.final)
         ],
@@ -262,7 +262,7 @@ def _suggested(final: Explanation) -> NextRecordingSummary | None:
         return None  # a suggestion is not worth a result
 
 
-def _alike(result: Identification, name: str) -> list[str]:
+def _indistinguishable(result: Identification, name: str) -> list[str]:
     return [other for members in result.missing if members[0] == name for other in members[1:]]
 
 

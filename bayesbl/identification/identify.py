@@ -33,10 +33,10 @@ from bayesbl.diagnosis.closed_loop.prediction import augmented_bench
 from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import (
     aligned_starts,
-    believed,
     fit_aligned,
     in_motion,
     remaining_noise,
+    valid_variant,
 )
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
@@ -44,7 +44,7 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
 from bayesbl.matching.signals import SimulatedSignals, Unknown
-from bayesbl.model_search.always_in import Beside, laws, settled
+from bayesbl.model_search.always_in import LinearisedFit, laws, with_far_terms_freed
 from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import LEAVES_MOST, NAMED_AT, SLACK
@@ -186,7 +186,7 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     match, unnamed = _match(problem, progress)
-    linear_fit = settled(match.final.fit, laws(match.final.fit.model.bench))
+    linear_fit = with_far_terms_freed(match.final.fit, laws(match.final.fit.model.bench))
     if not linear_fit.explains and unnamed is not None and linear_fit.fit is match.final.fit:
         linear_fit = unnamed
     match = replace(match, final=replace(match.final, fit=linear_fit.fit))
@@ -201,12 +201,12 @@ def identify(
         match.missing,
         verdict=verdict,
         check=linear_fit.check,
-        posterior=AveragedFit(rest=linear_fit).sampled(sampler, seed, drawing, simulating),
+        posterior=AveragedFit(linear_fit=linear_fit).sampled(sampler, seed, drawing, simulating),
         allows_for_misfit=not agrees(linear_fit.check) and linear_fit.is_useful,
     )
 
 
-def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Beside | None]:
+def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, LinearisedFit | None]:
     """Fit the data sheet, completed by what explains the recordings.
 
     Also returns the terms linearised at it, misfit included, if a search made them.
@@ -220,7 +220,9 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
     if nominal is None:
         nominal = _nominal(problem, progress)
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
-    nominal = replace(nominal, fit=settled(nominal.fit, laws(nominal.fit.model.bench)).fit)
+    nominal = replace(
+        nominal, fit=with_far_terms_freed(nominal.fit, laws(nominal.fit.model.bench)).fit
+    )
     naming = name_missing(
         nominal.fit,
         partial(_hypotheses, problem, nominal),
@@ -234,13 +236,13 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
     missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
     is_asked = problem.effects == "catalogue" or all(set(m) <= set(DELAYS) for m in missing)
     if not naming.effects or not is_asked:
-        return Match(nominal, nominal, None, missing), None if naming.effects else naming.rest
-    final = replace(naming.final, fit=believed(naming.final.fit))
+        return Match(nominal, nominal, None, missing), None if naming.effects else naming.linear_fit
+    final = replace(naming.final, fit=valid_variant(naming.final.fit))
     wrong = next((e for e in naming.effects if e.candidate.kind == "parameter"), None)
     beyond = None
     if wrong is not None:
         beyond = _beyond(final, wrong.candidate, wrong.members[1:], problem)
-    linear_fit = naming.rest if final.fit is naming.final.fit else None
+    linear_fit = naming.linear_fit if final.fit is naming.final.fit else None
     return Match(nominal, final, beyond, missing), linear_fit
 
 
@@ -274,7 +276,7 @@ def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
     nominal = Explanation((), fit)
     if problem.effects not in ("catalogue", ()):
         nominal = _with_effects(nominal, problem, motor_orders(fit))
-    fit = believed(nominal.fit)
+    fit = valid_variant(nominal.fit)
     if fit is nominal.fit and not is_explained(nominal.fit):
         fit = in_motion(fit) or fit
     return replace(nominal, fit=fit)
@@ -354,7 +356,7 @@ def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Matc
     called with (points scanned, points in all).
     """
     model = _nothing_fitted(problem)
-    scan = _places(problem)
+    scan = _scan_candidates(problem)
     best: dict[str, tuple[float, FloatArray, Candidate]] = {}
     for scanned, candidate in enumerate(scan):
         progress(scanned, len(scan))
@@ -413,7 +415,7 @@ def freed(name: str, value: float) -> Candidate:
 def is_plausible(problem: Problem) -> bool:
     """Whether a joint can be as on the data sheet; few data sheets with a wrong unit pass."""
     model = _nothing_fitted(problem)
-    return _can_be(model, _middle(model))
+    return _is_plausible_at(model, _middle(model))
 
 
 def may_be_wrong_by_far(problem: Problem) -> bool:
@@ -435,7 +437,7 @@ def _middle(model: SimulatedSignals) -> FloatArray:
     return np.array([u.middle for u in model.unknowns])
 
 
-def _places(problem: Problem) -> list[Candidate]:
+def _scan_candidates(problem: Problem) -> list[Candidate]:
     """Each parameter at factors of its value, up and down to the largest that is sought."""
     largest = max(KG_CM2_PER_KG_M2, problem.bench.value("gear_ratio") ** 2)
     steps = math.ceil(math.log(largest) / math.log(STEP))
@@ -457,7 +459,7 @@ def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, Flo
     extended_model = extended(model, candidate)
     centre = float(candidate.neutral[0])
     point = np.append(_middle(model), centre)
-    if not _can_be(extended_model, point):
+    if not _is_plausible_at(extended_model, point):
         return math.inf, point
     point = aligned_starts(extended_model, {point.size - 1: np.array([centre])}, SCANNED_GAPS)[0]
     low, high = extended_model.low, extended_model.high
@@ -466,7 +468,7 @@ def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, Flo
     return excess if math.isfinite(excess) else math.inf, point
 
 
-def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:
+def _is_plausible_at(model: SimulatedSignals, point: FloatArray) -> bool:
     """Whether the drive lifts the load, the loop forgets in time, and nothing is too fast.
 
     In time means within a rotation, or a motion's recording: otherwise rotations would not repeat.

@@ -55,7 +55,7 @@ def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:
     moving = all(observation.motion is not None for observation in recordings)
     candidates = _motions(recordings) if moving else _rotations(fit.model)
     options = [
-        _judged(fit, shared, covariance, observation, information)
+        _summary(fit, shared, covariance, observation, information)
         for observation, index in candidates
         if (information := _information(fit, shared, observation, index)) is not None
     ]
@@ -106,7 +106,7 @@ def _motions(recordings: Sequence[Observed]) -> Iterator[tuple[Observed, int]]:
             yield slowed, index
 
 
-def _judged(
+def _summary(
     fit: SimulatedFit,
     shared: Sequence[int],
     covariance: FloatArray,

@@ -65,7 +65,7 @@ def fit_aligned(
     noise = [noise_of(observation, observation.signals) for observation in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
     progress(0, STARTS_FITTED + NOISE_ROUNDS)
-    starts = _each_settled(model, aligned_starts(model, _load_friction(model)))
+    starts = _with_motions_fitted(model, aligned_starts(model, _load_friction(model)))
     fits: list[SimulatedFit] = []
     for start in starts:
         fits.append(fit_simulated(model, start, rough=True))
@@ -182,7 +182,7 @@ def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
     return start
 
 
-def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[FloatArray]:
+def _with_motions_fitted(model: SimulatedSignals, starts: list[FloatArray]) -> list[FloatArray]:
     """The starts, with the own unknowns of every motion from its best separate fit.
 
     A motion has more local minima than a rotation, and these differ between recordings.
@@ -315,7 +315,7 @@ def _folded(observation: Observed) -> FloatArray:
     return np.stack([np.interp(positions, grid, row).mean(axis=0) for row in observation.signals])
 
 
-def believed(fit: SimulatedFit) -> SimulatedFit:
+def valid_variant(fit: SimulatedFit) -> SimulatedFit:
     """The fit, or if it fails the check, the first of three variants for motions that passes.
 
     A digital drive holds its reference from sample to sample, and friction at a standstill differs
@@ -323,13 +323,13 @@ def believed(fit: SimulatedFit) -> SimulatedFit:
     """
     if is_explained(fit) or not _moves(fit):
         return fit
-    for variant in _others(fit):
+    for variant in _variants(fit):
         if is_explained(variant):
             return variant
     return fit
 
 
-def _others(fit: SimulatedFit) -> Iterator[SimulatedFit]:
+def _variants(fit: SimulatedFit) -> Iterator[SimulatedFit]:
     """Variants of the fit: without standstills, with a held reference, and both."""
     moving = in_motion(fit)
     if moving is not None:

@@ -31,7 +31,7 @@ ENCODER_ROUNDS = 2
 """After two rounds an eccentric encoder of 20 mrad is off by 0.1 mrad; after one, by 8 mrad."""
 
 
-class _Rest(TypedDict):
+class _SimulatorOptions(TypedDict):
     """Arguments of every simulator besides parameters and samples."""
 
     accuracy_rpm: float
@@ -54,14 +54,14 @@ def simulated(
     matrix: FloatArray,
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
-    options = _Rest(accuracy_rpm=accuracy_rpm, workers=workers, failures=failures)
+    options = _SimulatorOptions(accuracy_rpm=accuracy_rpm, workers=workers, failures=failures)
     if observation.motion is not None:
         signals = simulate_motions(
             matrix, observation.motion, samples, observation.sampling_hz, **options
         )
         return signals[:, observation.rows]
     if observation.motor_start_rad is not None:
-        matrix = _begun_at(matrix, observation.motor_start_rad, workers)
+        matrix = _with_encoder_start(matrix, observation.motor_start_rad, workers)
     grid = samples, observation.sampling_hz
     moments, order = _within_a_rotation(matrix, samples, observation.sampling_hz)
     speed_only = len(observation.signals) == 1
@@ -96,7 +96,7 @@ def _common_rotation_s(matrix: FloatArray) -> float | None:
     return float(turns_s[0]) if repeat else None
 
 
-def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
+def _with_encoder_start(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
     """The benches (m, SLOTS), each turned so that its encoder starts at this angle.
 
     The motor's start angle of a bench is that of a relaxed shaft. The encoder also shows twist, gap

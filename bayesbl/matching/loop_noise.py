@@ -176,7 +176,7 @@ def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
         return None
     frequency, speed_power, cross_power = spectra
     vector = model.vectors(fit.point[None], observation)
-    loop = _around_the_loop(vector[0], observation)
+    loop = _loop_responses(vector[0], observation)
     in_speed, in_current = (np.interp(frequency, *row) for row in loop)
     # Where the loop suppresses noise, little is visible, and that may have other causes.
     passed = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
@@ -204,7 +204,7 @@ def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
     return LoopNoise(shares, *rotations) if np.all(np.isfinite(rotations)) else None
 
 
-def _around_the_loop(
+def _loop_responses(
     parameters: FloatArray, observation: Observed
 ) -> tuple[tuple[FloatArray, ComplexArray], tuple[FloatArray, ComplexArray]]:
     """Frequency responses S and H, each with its frequencies in cycles per sample."""

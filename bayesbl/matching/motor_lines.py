@@ -52,7 +52,7 @@ class MotorLines:
         return count if count >= FEWEST_HATS else 0
 
     @cached_property
-    def place(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    def interpolation(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
         """Index of the hat before each sample, and the weights of it and the next one, (n,)
         each."""
         place = self.turns % 1.0 * self.count
@@ -63,7 +63,7 @@ class MotorLines:
     @cached_property
     def inverse(self) -> FloatArray:
         """(HᵀH)⁺, shape (b, b)."""
-        before, weight, next_weight = self.place
+        before, weight, next_weight = self.interpolation
         gram = np.zeros((self.count, self.count))
         hat = np.arange(self.count)
         after = (hat + 1) % self.count
@@ -79,7 +79,7 @@ class MotorLines:
         first = self.kept.size - rows.shape[-1]
         # The hats add up to one, so subtracting 1/n from the weights keeps the mean.
         weights = self.inverse - 1.0 / self.kept[first:].sum()
-        before, weight, next_weight = (values[first:] for values in self.place)
+        before, weight, next_weight = (values[first:] for values in self.interpolation)
         for index in np.ndindex(rows.shape[:-1]):
             _project_out(rows[index], before, weight, next_weight, weights)
 

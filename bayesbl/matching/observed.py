@@ -406,9 +406,8 @@ def _require_current_sign(
 ) -> None:
     """Require that the current falls with the speed, as a speed loop makes it.
 
-    ``reference_rpm``: reference of a motion. The loop responds to the speed error. A drive may feed the
-    reference and its acceleration forward, so the parts that follow these say nothing about the
-    sign.
+    ``reference_rpm``: of a motion. The loop responds to the speed error. A drive may feed the
+    reference and its acceleration forward, so parts that follow these say nothing about the sign.
 
     Above the corners of the loop's integrators, 2 K_i/K_p and 3 √(K_pos K_i/K_p), the slope of i on
     e is −K_p/K_t, or smaller if e contains noise outside the loop. Below them, ∫e and the position
@@ -445,7 +444,7 @@ def _require_current_sign(
         feedforward = np.stack(
             [reference_spectrum[rings], 1j * rate[rings] * reference_spectrum[rings]]
         )
-        speed, current = (_beside(row, feedforward) for row in (speed, current))
+        speed, current = (_without_feedforward(row, feedforward) for row in (speed, current))
     squares = max(float(np.sum(np.abs(speed) ** 2)), 1e-300)
     slope = float(np.real(np.vdot(speed, current))) / squares
     residual_power = np.abs(current - slope * speed) ** 2
@@ -464,7 +463,7 @@ def _require_current_sign(
     )
 
 
-def _beside(spectrum: ComplexArray, feedforward: ComplexArray) -> ComplexArray:
+def _without_feedforward(spectrum: ComplexArray, feedforward: ComplexArray) -> ComplexArray:
     """Residual of a spectrum (k,) after regression on others, (m, k), with real coefficients."""
     columns = np.concatenate([feedforward.real, feedforward.imag], axis=1).T
     real = np.concatenate([spectrum.real, spectrum.imag])

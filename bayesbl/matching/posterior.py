@@ -207,7 +207,7 @@ class DirectPosterior:
 
     def with_model(self, draws: FloatArray) -> DirectPosterior:
         """The posterior with draws (n, d) in place of these, widened by what the bench may lack."""
-        factor = self.model_widening * _times_as_wide(self._flat, draws)
+        factor = self.model_widening * _width_ratio(self._flat, draws)
         return replace(self, draws=draws.reshape(self.draws.shape), model_widening=factor)
 
     @property
@@ -351,11 +351,11 @@ def widened(posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectP
     # A draw that would leave its range stays as it was.
     within = np.all((wider > model.low) & (wider < model.high), axis=1)
     wider = np.where(within[:, None], wider, flat)
-    widening = _times_as_wide(flat, wider)
+    widening = _width_ratio(flat, wider)
     return replace(posterior, draws=wider.reshape(posterior.draws.shape), widening=widening)
 
 
-def _times_as_wide(before: FloatArray, after: FloatArray) -> FloatArray:
+def _width_ratio(before: FloatArray, after: FloatArray) -> FloatArray:
     """Ratio of the 90 % intervals of draws (n, d), shape (d,)."""
     width_after, width_before = (
         np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (after, before)
@@ -390,14 +390,14 @@ class _Check:
     ----------
     log_weights
         ln weights of some draws, shape (n,).
-    away
+    deviations
         Their coordinates minus the mean of all draws, in standard deviations, shape (n, d).
     within
         Whether they are within the 90 % intervals of all draws, shape (n, d).
     """
 
     log_weights: FloatArray
-    away: FloatArray
+    deviations: FloatArray
     within: BoolArray
 
     @classmethod
@@ -428,7 +428,7 @@ class _Check:
         weights = np.exp(self.log_weights - self.log_weights.max())
         excess = weights / weights.sum() - 1.0 / weights.size
         mean, level = (
-            math.sqrt(np.mean((excess @ values) ** 2)) for values in (self.away, self.within)
+            math.sqrt(np.mean((excess @ values) ** 2)) for values in (self.deviations, self.within)
         )
         p = TAILS[1] - TAILS[0]
         scatter = 1.0 / math.sqrt(FEWEST_EFFECTIVE)

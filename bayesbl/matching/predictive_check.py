@@ -73,11 +73,11 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     for recording, entries in enumerate(by_recording):
         # Entries that no false-alarm rate makes significant need no closer look.
         if any(entry.probability * count < 1.0 for entry in entries):
-            by_recording[recording] = _looked_at_closer(fit, recording, entries)
+            by_recording[recording] = _against_special_noise(fit, recording, entries)
     return [entry for entries in by_recording for entry in entries]
 
 
-def _looked_at_closer(
+def _against_special_noise(
     fit: SimulatedFit, recording: int, entries: list[RepeatingPower]
 ) -> list[RepeatingPower]:
     """The same entries, compared with noise in the loop or with rounding in each band.
@@ -113,7 +113,7 @@ def _looked_at_closer(
     closer = []
     for entry in entries:
         cases = [
-            _beside_rounding(in_band(entry, turns), in_band(entry, rounding))
+            _against_rounding(in_band(entry, turns), in_band(entry, rounding))
             for rounding in rounded
         ]
         ratio, chance = max(cases, key=lambda case: case[1])
@@ -121,7 +121,7 @@ def _looked_at_closer(
     return closer
 
 
-def _beside_rounding(band: FloatArray, rounded: FloatArray) -> tuple[float, float]:
+def _against_rounding(band: FloatArray, rounded: FloatArray) -> tuple[float, float]:
     """(ratio, probability) of the repeating power, against the rest and rounding that may repeat.
 
     ``band``: of the rotations, (r, d); ``rounded``: of rotations of rounding alone, (R, d).

@@ -357,7 +357,7 @@ class SimulatedSignals:
         name = self.recordings[recording].name
         return [i for i, u in enumerate(self.unknowns) if u.recording in (None, name)]
 
-    def beside(self, bench: Bench, unknowns: Sequence[Unknown]) -> SimulatedSignals:
+    def with_unknowns(self, bench: Bench, unknowns: Sequence[Unknown]) -> SimulatedSignals:
         """The same model with another bench and further unknowns."""
         return replace(
             self,

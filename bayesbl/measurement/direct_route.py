@@ -308,7 +308,7 @@ def fit_directly(
     allows = whole.allows_for_misfit
     withheld = not (whole.joint.explained or allows)
     posterior = whole.sampled(sampler, seed, report, simulating, withheld=withheld)
-    return DirectMatch(posterior, whole.rest.check, whole.joint, allows)
+    return DirectMatch(posterior, whole.linear_fit.check, whole.joint, allows)
 
 
 def direct_reasons(

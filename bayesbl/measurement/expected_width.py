@@ -19,7 +19,7 @@ from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed, marginalising_motor_lines
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.measurement.measurement import ExpectedSd
-from bayesbl.model_search.always_in import Direction, beside
+from bayesbl.model_search.always_in import Direction, linearised_fit
 
 DRAWS = 1000
 """Of what is marginalised: they tell a standard deviation to 2 %."""
@@ -65,7 +65,7 @@ def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> 
         for place, observation in enumerate(model.recordings)
     ]
     fit = fit_at(replace(model, recordings=own), point)
-    drawn = beside(fit, among).posterior.draw(np.random.default_rng(0), DRAWS).shift
+    drawn = linearised_fit(fit, among).posterior.draw(np.random.default_rng(0), DRAWS).shift
     covariance = fit.covariance + np.cov(drawn.T)
     slope_rad = float(model.unknowns[gaps[0]].slope(np.array(gap_rad)))
 

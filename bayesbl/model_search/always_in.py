@@ -337,10 +337,10 @@ class Label:
             always=not self.cause,
             # Part of the friction is dry in any joint.
             absent=ABSENT if positive and direction.effect and not direction.instead_of else 0.0,
-            excludes=frozenset(self._others()) if self.cause else frozenset(),
+            excludes=frozenset(self._rival_hypotheses()) if self.cause else frozenset(),
         )
 
-    def _others(self) -> Iterator[str]:
+    def _rival_hypotheses(self) -> Iterator[str]:
         """Other hypotheses that change one of the same parameters: each is changed once."""
         changed_slots = {d.slot for d in self.directions}
         for cause, slots in CAUSES.items():
@@ -383,7 +383,7 @@ class Label:
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class LinearisedFit:
     """A fit with the terms linearised at it: laws, drift and changes.
 
     Attributes
@@ -411,7 +411,7 @@ class Beside:
     lag_s: float = 0.0
     loops: tuple[tuple[SimulatedFit, SimulatedFit], ...] = ()
 
-    def far(self) -> list[tuple[Label, FloatArray]]:
+    def far_terms(self) -> list[tuple[Label, FloatArray]]:
         """Terms far from their values in the fit, each with its best size alone in standard
         deviations.
 
@@ -513,7 +513,7 @@ class Beside:
         )
 
 
-def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
+def linearised_fit(fit: SimulatedFit, among: Sequence[Direction]) -> LinearisedFit:
     """Linearise laws, drift and changes at a fit; those that are unknowns of its model are left
     out."""
     model, d = fit.model, fit.point.size
@@ -555,7 +555,9 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
             residuals, jacobians, acting, columns, strict=True
         )
     ]
-    return Beside(fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts), _lag_s(fit))
+    return LinearisedFit(
+        fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts), _lag_s(fit)
+    )
 
 
 def _lag_s(fit: SimulatedFit) -> float:
@@ -657,7 +659,9 @@ def _columns(
     among = list(dict.fromkeys(entries[k][1] for k in acting))
     unknowns = [Unknown(d.slot, recording=observation.name, added=True) for d in among]
     point = np.concatenate([fit.point, np.zeros(len(unknowns))])
-    slopes = _slopes(model.beside(with_neutral(model.bench, among), unknowns), point, index, among)
+    slopes = _slopes(
+        model.with_unknowns(with_neutral(model.bench, among), unknowns), point, index, among
+    )
     rows = [among.index(entries[k][1]) for k in acting]
     return acting, np.asarray(slopes[rows].T * [entries[k][2] for k in acting])
 
@@ -722,7 +726,9 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
     return bench.with_effects(*bench.effects, *added) if added else bench
 
 
-def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = silent) -> Beside:
+def with_far_terms_freed(
+    fit: SimulatedFit, among: Sequence[Direction], progress: Progress = silent
+) -> LinearisedFit:
     """Free the terms that are far, one after another, and linearise the others at the resulting
     fit.
 
@@ -730,26 +736,26 @@ def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = 
     not explain the recordings, nothing is freed: a misfit moved the terms, and would move the gaps
     too.
     """
-    nominal = linear_fit = beside(fit, among)
+    nominal = linear_fit = linearised_fit(fit, among)
     loops: list[tuple[SimulatedFit, SimulatedFit]] = []
     for rounds in range(MOST_ROUNDS):
         progress(rounds, MOST_ROUNDS)
-        trials = _nearer(linear_fit, among)
+        trials = _with_next_freed(linear_fit, among)
         if not trials:
             break
-        nearer = trials[0]
-        limit = nearer.chi_square + MOST_MORE
+        freed = trials[0]
+        limit = freed.chi_square + MOST_MORE
         lean = [trial.without_derivatives() for trial in trials if trial.chi_square < limit]
         loops += [(lean[0], trial) for trial in lean[1:]]
-        fit = fit_simulated(nearer.model, nearer.point, nearer.steps, one_sided=True)
-        linear_fit = beside(fit, among)
+        fit = fit_simulated(freed.model, freed.point, freed.steps, one_sided=True)
+        linear_fit = linearised_fit(fit, among)
     if linear_fit is nominal or not linear_fit.explains:
         return nominal
-    linear_fit = beside(fit_simulated(fit.model, fit.point, fit.steps), among)
+    linear_fit = linearised_fit(fit_simulated(fit.model, fit.point, fit.steps), among)
     return replace(linear_fit, loops=tuple(loops))
 
 
-def other_loops(linear_fit: Beside) -> list[SimulatedFit]:
+def other_loops(linear_fit: LinearisedFit) -> list[SimulatedFit]:
     """Fits with the other loops that may be the joint's, and everything freed since they were
     tried.
 
@@ -763,7 +769,7 @@ def other_loops(linear_fit: Beside) -> list[SimulatedFit]:
             continue
         since = [e for e in fit.model.bench.effects if e not in chosen.model.bench.effects]
         bench = rival.model.bench.with_effects(*rival.model.bench.effects, *since)
-        model = replace(rival.model.beside(bench, freed), noise=fit.model.noise)
+        model = replace(rival.model.with_unknowns(bench, freed), noise=fit.model.noise)
         common = sum(1 for _ in common_unknowns(fit.model, rival.model))
         start = np.concatenate([rival.point, fit.point[chosen_size:]])
         start[:common] += fit.point[:common] - chosen.point[:common]
@@ -781,14 +787,14 @@ def common_unknowns(first: SimulatedSignals, second: SimulatedSignals) -> Iterat
     )
 
 
-def _nearer(linear_fit: Beside, among: Sequence[Direction]) -> list[SimulatedFit]:
+def _with_next_freed(linear_fit: LinearisedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
     """Free one more of the far terms: the best fit and its rivals; empty if no fit is better.
 
     Linear lags are much alike. So if a lag promises most, or the fit is far off, all lags are
     fitted, and also controllers with usual periods. If the bench states a sampled controller, its
     dead time comes first.
     """
-    fit, far_terms = linear_fit.fit.with_derivatives(), linear_fit.far()
+    fit, far_terms = linear_fit.fit.with_derivatives(), linear_fit.far_terms()
     lags = [term for term in far_terms if term[0].is_lag]
     if lags and (far_terms[0][0].is_lag or fit.chi_square > _goal(fit)):
         trials: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
@@ -808,7 +814,7 @@ def _freed(fit: SimulatedFit, label: Label, sizes: FloatArray) -> SimulatedFit |
     first_vector = fit.model.vectors(fit.point[None], fit.model.recordings[0])
     added = label.unknowns((bench.vector() if label.recording is None else first_vector)[0], sizes)
     offsets = sizes * label.scales
-    model = fit.model.beside(bench, added)
+    model = fit.model.with_unknowns(bench, added)
     move = np.concatenate([np.zeros(fit.point.size), offsets])
     for k, direction in enumerate(label.directions, fit.point.size):
         if direction.instead_of:
@@ -835,7 +841,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     else:
         is_known = DEAD_TIME in taken or "delay_periods" in stated.parameters
         periods_s = () if is_known else (stated.complete()["period_s"],)
-    chi_square_beside, models, promises = _chi_square_beside(fit, among), {}, []
+    minimal_chi_square, models, promises = _minimal_chi_square(fit, among), {}, []
     for period_s in periods_s:
         bench = fit.model.bench
         if stated is None:
@@ -845,12 +851,12 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
         added = [
             u for d in freed for u in Label((d,), None).unknowns(bench.vector()[0], np.ones(1))
         ]
-        models[period_s] = fit.model.beside(bench, added)
+        models[period_s] = fit.model.with_unknowns(bench, added)
         for loop in itertools.product(USUAL_DELAYS, (0.0, 1.0)[: len(added)]):
             point = np.concatenate([fit.point, loop[: len(added)]])
             residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
-                chi_square, shift = chi_square_beside(residual)
+                chi_square, shift = minimal_chi_square(residual)
                 point[: shift.size] += shift
                 promises.append((chi_square, period_s, point))
     fits: list[SimulatedFit] = []
@@ -942,7 +948,7 @@ def edge_variances(posterior: DirectPosterior) -> FloatArray:
     return posterior.draws[..., names.index(EDGE_VARIANCE)]
 
 
-def _chi_square_beside(
+def _minimal_chi_square(
     fit: SimulatedFit, among: Sequence[Direction]
 ) -> Callable[[FloatArray], tuple[float, FloatArray]]:
     """Make a function of a residual (N,): its minimal χ², and the shift of the fit's unknowns,
@@ -956,10 +962,10 @@ def _chi_square_beside(
     stacked = np.vstack([np.hstack([jacobian, laws]), block_diag(prior, np.eye(laws.shape[1]))])
     orthogonal, triangle = np.linalg.qr(stacked)
 
-    def left(residual: FloatArray) -> tuple[float, FloatArray]:
+    def minimise(residual: FloatArray) -> tuple[float, FloatArray]:
         residual = np.concatenate([residual, np.zeros(len(triangle))])
         projection = orthogonal.T @ residual
         shift = np.linalg.solve(triangle, projection)[: fit.point.size]
         return float(residual @ residual - projection @ projection), np.asarray(shift)
 
-    return left
+    return minimise

@@ -106,12 +106,12 @@ class Candidate:
         return (
             other.label == self.label
             or bool(self.unknown_keys & other.unknown_keys)
-            or self._holds(other)
-            or other._holds(self)
+            or self._contains(other)
+            or other._contains(self)
             or (order is not None and own_order is not None and order / own_order in HARMONICS)
         )
 
-    def _holds(self, other: Candidate) -> bool:
+    def _contains(self, other: Candidate) -> bool:
         """Whether the other candidate's law is this one without one term."""
         law = effect_named(self.name).torque if self.kind == "effect" else None
         same_place = other.recording == self.recording
@@ -127,14 +127,14 @@ class Candidate:
         """Indices of the unknowns that change the prediction at the neutral point."""
         if self.effect is None:
             return list(range(len(self.unknowns)))
-        return self._places("amplitude")
+        return self._indices("amplitude")
 
     @property
     def phases(self) -> list[int]:
         """Indices of the phases among its unknowns."""
-        return [] if self.effect is None else self._places("phase")
+        return [] if self.effect is None else self._indices("phase")
 
-    def _places(self, role: Role) -> list[int]:
+    def _indices(self, role: Role) -> list[int]:
         roles = {f"{self.name}__{p.name}": p.role for p in effect_named(self.name).parameters}
         return [i for i, u in enumerate(self.unknowns) if roles[u.name] == role]
 
@@ -246,7 +246,7 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
     )
     if effect.resonance is not None:
         part_starts = tuple(_resonances(bench, effect, effect.resonance))
-        bounded = tuple(_near(effect, unknowns, part_starts))
+        bounded = tuple(_ranges_around(effect, unknowns, part_starts))
         return replace(candidate, unknowns=bounded, starts=part_starts)
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
@@ -289,7 +289,7 @@ def _resonances(bench: Bench, effect: Effect, resonance: Resonance) -> Iterator[
             yield np.array([values[p.name] for p in effect.parameters])
 
 
-def _near(
+def _ranges_around(
     effect: Effect, unknowns: Sequence[Unknown], starts: Sequence[FloatArray]
 ) -> Iterator[Unknown]:
     """Ranges around a grid of starts.

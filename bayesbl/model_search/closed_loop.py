@@ -29,7 +29,13 @@ from bayesbl.matching.observed import Observed, whole_rotations
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import SimulatedSignals
-from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside, common_unknowns
+from bayesbl.model_search.always_in import (
+    Direction,
+    LinearisedFit,
+    always_terms,
+    common_unknowns,
+    linearised_fit,
+)
 from bayesbl.model_search.catalogue import Candidate
 from bayesbl.model_search.constants import (
     FORM_SHARE,
@@ -85,14 +91,14 @@ class FittedSet:
         ln of prior times evidence, without terms that are not in the set.
     posterior
         Posterior of the terms always included, and of the misfit.
-    beyond
+    excess_by_band
         χ² beyond noise of the repeating part, by band, the mean first, (b,).
     """
 
     explanation: Explanation
     log_evidence: float
     posterior: ModelPosterior
-    beyond: FloatArray
+    excess_by_band: FloatArray
 
     @property
     def fit(self) -> SimulatedFit:
@@ -102,12 +108,14 @@ class FittedSet:
     @property
     def excess(self) -> float:
         """χ² beyond noise of the repeating part."""
-        return max(float(self.beyond.sum()), 0.0)
+        return max(float(self.excess_by_band.sum()), 0.0)
 
     @property
     def misfits(self) -> FloatArray:
         """Excess χ² of the bands that have a misfit, (b,)."""
-        return np.maximum(self.beyond, 0.0) * (np.array(self.posterior.models[0].scales) > 0.0)
+        return np.maximum(self.excess_by_band, 0.0) * (
+            np.array(self.posterior.models[0].scales) > 0.0
+        )
 
     @property
     def misfit(self) -> float:
@@ -166,7 +174,7 @@ class Naming:
         Whether something unexplained repeats.
     nearest
         The most probable set, if it explains too little to be named.
-    rest
+    linear_fit
         Terms linearised at ``final``: see :func:`name_missing`.
     """
 
@@ -176,7 +184,7 @@ class Naming:
     sets: tuple[tuple[FittedSet, float], ...]
     repeats: bool
     nearest: Explanation | None = None
-    rest: Beside | None = None
+    linear_fit: LinearisedFit | None = None
 
     @property
     def others(self) -> list[tuple[FittedSet, float]]:
@@ -233,13 +241,13 @@ def name_missing(
         Makes all candidates from the motor orders that stand out. Orders are sought again in the
         residual of the best set, which may have hidden them.
     among
-        Directions marginalised in each set. If empty, ``rest`` of the result is ``None``.
+        Directions marginalised in each set. If empty, ``linear_fit`` of the result is ``None``.
     progress
         Called with (fits made, fits expected).
     """
     posterior = SetSearch(Explanation((), nominal_fit), candidates, max_effects, among, progress)
     naming = posterior.answer()
-    return replace(naming, rest=posterior.beside(naming.final)) if among else naming
+    return replace(naming, linear_fit=posterior.linearised_fit(naming.final)) if among else naming
 
 
 class SetSearch:
@@ -256,7 +264,7 @@ class SetSearch:
         among: Sequence[Direction] = (),
         progress: Progress = silent,
     ) -> None:
-        self._catalogue, self._most, self._among = candidates, max_size, among
+        self._catalogue, self._max_size, self._among = candidates, max_size, among
         self._progress = progress
         # All sets share the recorder's noise, and its simulation is expensive.
         self._noise = noise_in_loop(nominal.fit)
@@ -367,13 +375,13 @@ class SetSearch:
             repeats=not effects and not self.nominal.explains_all,
         )
 
-    def beside(self, explanation: Explanation) -> Beside:
+    def linearised_fit(self, explanation: Explanation) -> LinearisedFit:
         """Linearise laws and drift at a fit; with a misfit, all other laws together too."""
-        linear_fit = beside(explanation.fit, self._among)
+        linear_fit = linearised_fit(explanation.fit, self._among)
         if linear_fit.explains:
             return linear_fit
         explanation = explanation.with_derivatives()
-        view = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation, self._compatible(explanation))
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
@@ -386,7 +394,7 @@ class SetSearch:
 
         Means are left out: any friction explains them, and they may be nearly all of it.
         """
-        share = fitted.misfits[1:].sum() / max(float(self.nominal.beyond[1:].sum()), 1e-300)
+        share = fitted.misfits[1:].sum() / max(float(self.nominal.excess_by_band[1:].sum()), 1e-300)
         return share > UNEXPLAINED_SHARE and not fitted.explains_all
 
     def _is_hopeless(self) -> bool:
@@ -429,14 +437,14 @@ class SetSearch:
     def _explore(self, base: FittedSet) -> None:
         """Fit the extensions that a set promises."""
         keys = base.explanation.keys
-        room = self._most - len(base.explanation.candidates)
+        room = self._max_size - len(base.explanation.candidates)
         is_known = self._sets.get(keys) is base
         if room == 0 or (is_known and keys in self._explored):
             return
         if is_known:
             self._explored.add(keys)
         explanation = base.explanation.with_derivatives()
-        view = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation, self._compatible(explanation))
         offset = base.log_evidence - base.posterior.log_evidence
         labels = {c.label for c in self._candidates.values()}
         posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
@@ -470,7 +478,7 @@ class SetSearch:
             if fitted is not None:
                 self._add(fitted, base)
 
-    def _open(self, base: Explanation) -> list[Candidate]:
+    def _compatible(self, base: Explanation) -> list[Candidate]:
         """Candidates that may be added to a set."""
         candidates = self._candidates.values()
         return [c for c in candidates if not any(member.bars(c) for member in base.candidates)]

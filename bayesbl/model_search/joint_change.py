@@ -226,7 +226,7 @@ def with_part(nominal: SimulatedFit, explanation: Explanation, probability: floa
         *range(nominal_size),
         *(k for k, u in enumerate(fit.model.unknowns) if k >= nominal_size and u.name in of_ticks),
     ]
-    model = nominal.model.beside(
+    model = nominal.model.with_unknowns(
         bench.with_effects(*bench.effects, *ticks, effect),
         [fit.model.unknowns[k] for k in kept[nominal_size:]],
     )
@@ -278,7 +278,7 @@ def find_changes(
         among=among,
         progress=progress,
     )
-    final, linear_fit = naming.final, naming.rest
+    final, linear_fit = naming.final, naming.linear_fit
     explained = is_explained(final.fit) if linear_fit is None else linear_fit.explains
     names = dict.fromkeys(name for effect in naming.effects for name in effect.members)
     return naming, JointFindings(
@@ -290,7 +290,7 @@ def find_changes(
     )
 
 
-def changed_beside(
+def changes_at_fit(
     fit: SimulatedFit, among: Sequence[Direction], part: AddedPart | None = None
 ) -> JointFindings:
     """Find the changes of the joint if laws, drift and changes at a fit explain everything.
@@ -307,7 +307,7 @@ def changed_beside(
         # Tolerances of the bench, and drift set by the user, are flat.
         if direction is None or not math.isfinite(unknown.sd):
             continue
-        difference = _against_known(fit, unknown)
+        difference = _compared_with_known(fit, unknown)
         drifted = (
             unknown.added
             and abs(difference.estimate - difference.expected) <= BEYOND * direction.drift
@@ -324,7 +324,7 @@ def changed_beside(
     )
 
 
-def _against_known(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
+def _compared_with_known(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
     """Compare an unknown with the first recording that has no value of its own.
 
     If there is none, or all recordings share the unknown, compare it with the bench.
@@ -333,7 +333,7 @@ def _against_known(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
     own_recordings = {u.recording for u in fit.model.unknowns if u.name == slot}
     other = next((r.name for r in fit.model.recordings if r.name not in own_recordings), None)
     if where is not None and other is not None:
-        return _against(fit, slot, where, other)
+        return _compared(fit, slot, where, other)
     by_bench = float(fit.model.bench.vector()[0, Slot[slot]])
     return ChangedParameter(slot, where, by_bench, fit.value(slot, where), fit.sd(slot, where))
 
@@ -348,19 +348,19 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
     first, *later = [observation.name for observation in fit.model.recordings]
     freed = {unknown.key for unknown in fit.model.unknowns}
     for candidate in final.candidates:
-        unknowns = [candidate.unknowns[index] for index in _stated_places(candidate)]
+        unknowns = [candidate.unknowns[index] for index in _stated_indices(candidate)]
         if (
             len(later) == 1
             and candidate.recording == first
             and not freed & {(u.name, later[0]) for u in unknowns}
             and all(_is_tolerated(fit, u.name, fit.value(u.name, first)) for u in unknowns)
         ):
-            yield from (_against(fit, u.name, later[0], first) for u in unknowns)
+            yield from (_compared(fit, u.name, later[0], first) for u in unknowns)
         else:
-            yield from (_against_known(fit, unknown) for unknown in unknowns)
+            yield from (_compared_with_known(fit, unknown) for unknown in unknowns)
 
 
-def _stated_places(candidate: Candidate) -> list[int]:
+def _stated_indices(candidate: Candidate) -> list[int]:
     """Indices of the values that a bench file needs, such as a period and its dead time."""
     indices = candidate.amplitudes
     if candidate.effect is None:
@@ -384,7 +384,7 @@ def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
     return any(low <= value <= high for low, high in ends)
 
 
-def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParameter:
+def _compared(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParameter:
     """Compare a parameter in one recording with another recording, or with the shared value, drift
     included."""
     own_sd = np.sqrt(np.diag(fit.covariance))
@@ -430,13 +430,13 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
     values = np.array([bench.value(parameter) for parameter in parameters])
     unknowns = tuple(
-        Unknown(parameter, *_furthest(value, bench.tolerances.get(parameter, 0.0)))
+        Unknown(parameter, *_changed_range(value, bench.tolerances.get(parameter, 0.0)))
         for parameter, value in zip(parameters, values, strict=True)
     )
     return Candidate(name, "parameter", unknowns, values, usual=USUAL_SHARE * np.abs(values))
 
 
-def _furthest(value: float, tolerance: float) -> tuple[float, float]:
+def _changed_range(value: float, tolerance: float) -> tuple[float, float]:
     """Range of a changed parameter; it includes the whole of a wide tolerance."""
     ends = [value / FURTHEST_CHANGE, value * FURTHEST_CHANGE, value - tolerance, value + tolerance]
     kept = [end for end in ends if end * value > 0.0]

@@ -418,7 +418,7 @@ class _Grams:
         for i in self.selected:
             odds = log_odds(probability.get(terms[i].hypothesis, even))
             self.log_prior[i] = odds + math.log(terms[i].prior_weight)
-        self.apart = self._apart()
+        self.excluded = self._exclusions()
         present = {term.hypothesis for term in terms}
         self.requires = [term.requires & present for term in terms]
         self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float]] = {}
@@ -445,7 +445,7 @@ class _Grams:
             scale[group.columns] = math.sqrt(size / total) if total > 0.0 else 0.0
         return scale
 
-    def _apart(self) -> np.ndarray:
+    def _exclusions(self) -> np.ndarray:
         """Matrix of the pairs of terms that cannot be in one set."""
         terms = self.view.terms
         apart = np.zeros((len(terms), len(terms)), dtype=bool)
@@ -551,7 +551,7 @@ class _Grams:
         selected = np.array(self.selected, dtype=int)
         added = np.full(selected.size, -np.inf)
         possible = (
-            ~self.apart[list(terms)][:, selected].any(axis=0)
+            ~self.excluded[list(terms)][:, selected].any(axis=0)
             if terms
             else np.ones(selected.size, dtype=bool)
         )
@@ -595,7 +595,7 @@ def search(
     """
     grams = _Grams(linearised, probability)
     nowhere = (0,) * len(linearised.scaled)
-    levels = list(dict.fromkeys([nowhere, _climb(grams, (), nowhere)]))
+    levels = list(dict.fromkeys([nowhere, _best_level(grams, (), nowhere)]))
     pool: dict[tuple[int, ...], float] = {}
     done = 0
     while done < len(levels) and done < 5:
@@ -603,7 +603,7 @@ def search(
             pool[terms] = max(value, pool.get(terms, -math.inf))
         done += 1
         best = max(pool, key=lambda terms: pool[terms])
-        level = _climb(grams, best, levels[done - 1])
+        level = _best_level(grams, best, levels[done - 1])
         if level not in levels:
             levels.append(level)
     top = max(pool.values())
@@ -655,7 +655,7 @@ def _enumerate(
     return result
 
 
-def _climb(grams: _Grams, terms: tuple[int, ...], start: tuple[int, ...]) -> tuple[int, ...]:
+def _best_level(grams: _Grams, terms: tuple[int, ...], start: tuple[int, ...]) -> tuple[int, ...]:
     """The level that suits a set best, one group after the other."""
     level = list(start)
 
@@ -771,7 +771,7 @@ class ModelPosterior:
         base = grams.base(level)
         columns, _, precision = grams.normal(terms, level)
         right = grams.at(level)[1][columns]
-        sizes = _within(right, precision, grams.is_positive[columns])
+        sizes = _constrained_mode(right, precision, grams.is_positive[columns])
         centre = base.inverse @ (base.nuisance_pull - base.cross[:, columns] @ sizes)
         set_terms = [self.linearised.terms[i] for i in terms]
         parts = np.split(sizes, np.cumsum([term.columns.shape[1] for term in set_terms]))
@@ -929,7 +929,7 @@ def _smallest_cover(
     return tuple(members) if sum(p for _, p in uncovered) <= 1.0 - NAMED_AT else ()
 
 
-def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:
+def _constrained_mode(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:
     """Most probable sizes with sign constraints."""
     if not right.size:
         return right

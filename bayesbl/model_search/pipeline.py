@@ -5,7 +5,7 @@ has one type, which is the input of the next:
 
 1. fit: all recordings at once, aligned, with their own noise (:class:`SimulatedFit`);
 2. linearise: laws and drift are linear at the fit; those far from their values in the fit become
-   its unknowns (:class:`bayesbl.model_search.always_in.Beside`);
+   its unknowns (:class:`bayesbl.model_search.always_in.LinearisedFit`);
 3. name: sets of hypotheses, each fitted in full and weighted by its evidence
    (:class:`bayesbl.model_search.closed_loop.Naming`);
 4. refit: with the named hypotheses, and the others linearised again (:class:`AveragedFit`);
@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayesbl.bench.bench import Bench
-from bayesbl.matching.alignment import believed, fit_aligned
+from bayesbl.matching.alignment import fit_aligned, valid_variant
 from bayesbl.matching.observed import Observed, marginalising_motor_lines
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.signals import (
@@ -39,20 +39,20 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.model_search.always_in import (
     LEAST_SHARE,
-    Beside,
     Direction,
-    beside,
+    LinearisedFit,
     common_unknowns,
     directions,
+    linearised_fit,
     marginalised,
     other_loops,
-    settled,
+    with_far_terms_freed,
     with_friction,
 )
 from bayesbl.model_search.closed_loop import FittedSet, averaged, weighed
 from bayesbl.model_search.joint_change import (
     JointFindings,
-    changed_beside,
+    changes_at_fit,
     elastic_parts,
     find_changes,
     with_part,
@@ -115,9 +115,9 @@ def friction_drift(
 
 
 def rival_loops(
-    linear_fit: Beside, among: Sequence[Direction], probability: float
+    linear_fit: LinearisedFit, among: Sequence[Direction], probability: float
 ) -> list[tuple[FittedSet, float]]:
-    """Other speed loops that explain the recordings as well, each with its share of ``probability``."""
+    """Other loops that explain the recordings as well, each with its share of ``probability``."""
     fits = [linear_fit.fit, *other_loops(linear_fit)]
     if len(fits) == 1:
         return []
@@ -140,15 +140,15 @@ class AveragedFit:
 
     Attributes
     ----------
-    rest
+    linear_fit
         The fit, with the terms linearised at it.
     others
         Other sets of what the bench may lack, each with its probability.
     among
-        Directions that are marginalised in each of these sets, if the search did not do so.
+        Directions to marginalise in each of these sets, if the search did not do so.
     """
 
-    rest: Beside | FittedSet
+    linear_fit: LinearisedFit | FittedSet
     others: Sequence[tuple[FittedSet, float]] = ()
     among: Sequence[Direction] = ()
 
@@ -163,14 +163,14 @@ class AveragedFit:
     ) -> DirectPosterior:
         """Draw from the fit as :func:`sample_direct` does, and average over models unless
         ``withheld``."""
-        fit = self.rest.fit
+        fit = self.linear_fit.fit
         posterior = sample_direct(fit, settings, seed, drawing, simulating, withheld=withheld)
         return posterior if withheld else self.averaged(posterior, seed)
 
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
         """Add to the draws the scatter of impacts, laws, drift, and all that the bench may lack."""
         scatter_seed, drift_seed, average_seed = seed.spawn(3)
-        full = marginalised(widened(posterior, scatter_seed), self.rest.posterior, drift_seed)
+        full = marginalised(widened(posterior, scatter_seed), self.linear_fit.posterior, drift_seed)
         return averaged(full, self.others, average_seed, self.among) if self.others else full
 
 
@@ -181,13 +181,13 @@ class JointFit(AveragedFit):
     ``joint``: whether one joint, as its bench describes it, made the recordings.
     """
 
-    rest: Beside
+    linear_fit: LinearisedFit
     joint: JointFindings
 
     @property
     def allows_for_misfit(self) -> bool:
         """Whether δ includes the possible effect of an unnamed law."""
-        return not self.joint.explained and self.rest.is_useful
+        return not self.joint.explained and self.linear_fit.is_useful
 
 
 def fit_jointly(
@@ -213,32 +213,36 @@ def fit_jointly(
     unknowns += friction_drift(unknowns, among, with_current)
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
-    nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
+    nominal = valid_variant(fit_aligned(bench, recordings, unknowns, workers, aligning))
     allowing = of_stage(progress, f"Allowing for what the bench lacks in {name}")
-    linear_fit = settled(nominal, among, allowing)
+    linear_fit = with_far_terms_freed(nominal, among, allowing)
     if linear_fit.explains:
         sets = () if moving else elastic_parts(linear_fit.fit, among)
         for best, probability in sets[:1]:
             if best.explanation.candidates:
                 part = with_part(nominal, best.explanation, probability)
                 extended = [*among, *part.directions]
-                part_fit = settled(part.fit, extended, allowing)
+                part_fit = with_far_terms_freed(part.fit, extended, allowing)
                 if part_fit.explains:
-                    joint = changed_beside(part_fit.fit, extended, part.added)
-                    return JointFit(rest=part_fit, others=sets[1:], joint=joint)
+                    joint = changes_at_fit(part_fit.fit, extended, part.added)
+                    return JointFit(linear_fit=part_fit, others=sets[1:], joint=joint)
         others = [(entry, p) for entry, p in sets if entry.explanation.candidates]
         others += rival_loops(linear_fit, among, 1.0 - sum(p for _, p in others))
-        return JointFit(rest=linear_fit, others=others, joint=changed_beside(linear_fit.fit, among))
+        return JointFit(
+            linear_fit=linear_fit, others=others, joint=changes_at_fit(linear_fit.fit, among)
+        )
     seeking = of_stage(progress, f"Seeking changes in {name}")
     naming, joint = find_changes(linear_fit.fit, among=among, progress=seeking)
-    linear_fit = naming.rest or beside(naming.final.fit, among)
+    linear_fit = naming.linear_fit or linearised_fit(naming.final.fit, among)
     if not linear_fit.has_discrepancy:
         # Lags in place of what is now named may no longer be needed.
         unlagged, count = (
-            settled(linear_fit.fit, among, allowing),
+            with_far_terms_freed(linear_fit.fit, among, allowing),
             len(linear_fit.fit.model.unknowns),
         )
         if all(u.recording is None for u in unlagged.fit.model.unknowns[count:]):
             linear_fit = unlagged
     # Sets that explain too little to be named know less about the misfit than the bench does.
-    return JointFit(rest=linear_fit, others=naming.others if naming.effects else (), joint=joint)
+    return JointFit(
+        linear_fit=linear_fit, others=naming.others if naming.effects else (), joint=joint
+    )

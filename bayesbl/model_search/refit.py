@@ -89,7 +89,7 @@ def polished(explanation: Explanation) -> Explanation:
 
 def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
     """The model with a candidate's unknowns added."""
-    return model.beside(candidate.bench(model.bench), candidate.unknowns)
+    return model.with_unknowns(candidate.bench(model.bench), candidate.unknowns)
 
 
 def refit(

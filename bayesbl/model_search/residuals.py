@@ -132,7 +132,7 @@ class _Residual:
         Slope of a drift, then cosine and sine of each of these lines, (n, k).
     of_load
         Load orders that stand out of their neighbours and repeat with nothing else.
-    rest, noise
+    without_lines, noise
         Values without drift and lines, and these without the repeating part.
     floor
         Expected periodogram of the noise, (n // 2 + 1,).
@@ -147,7 +147,7 @@ class _Residual:
     cycles: list[float] = field(default_factory=list)
     of_load: list[int] = field(default_factory=list)
     coefficients: FloatArray = field(init=False)
-    rest: FloatArray = field(init=False)
+    without_lines: FloatArray = field(init=False)
     noise: FloatArray = field(init=False)
     floor: FloatArray = field(init=False)
 
@@ -166,7 +166,7 @@ class _Residual:
         remainder = self.values - self.waves @ self.coefficients
         whole_waves = self.waves[:, is_whole]
         self.coefficients[is_whole] = np.linalg.lstsq(whole_waves, remainder - remainder.mean())[0]
-        self.rest = remainder - whole_waves @ self.coefficients[is_whole]
+        self.without_lines = remainder - whole_waves @ self.coefficients[is_whole]
         power = np.abs(np.fft.rfft(self.noise)) ** 2 / n
         between = np.flatnonzero(np.arange(power.size) % rotations)
         median = median_filter(power[between], min(MEDIAN_BINS, between.size)) / math.log(2.0)
@@ -180,7 +180,7 @@ class _Residual:
 
     def scores(self, scale: Scale) -> FloatArray:
         """Periodogram of the values without lines, over its floor, for every bin of a scale."""
-        values, time, position = self.rest, self.positions[TIME], self.positions[scale]
+        values, time, position = self.without_lines, self.positions[TIME], self.positions[scale]
         if position is not time:
             values = CubicSpline(time, values)(np.interp(time, position, time))
         power = np.abs(np.fft.rfft(values)) ** 2 / values.size / self.floor
@@ -212,7 +212,7 @@ class _Residual:
         if abs(order - round(order)) * rotations < 0.5:
             whole_cycles = float(round(order) * rotations)
             return _power(
-                self.rest - self.rest.mean(), position, whole_cycles
+                self.without_lines - self.without_lines.mean(), position, whole_cycles
             ) / variance, whole_cycles
 
         def off_comb(cycles: float) -> float:
@@ -228,7 +228,7 @@ class _Residual:
         best = minimize_scalar(off_comb, bounds=ends, method="bounded", options={"xatol": 1e-3})
         return -float(best.fun), float(best.x)
 
-    def take_out(self, scale: Scale, cycles: float) -> None:
+    def remove(self, scale: Scale, cycles: float) -> None:
         """Remove a line with its amplitude and phase; the part that repeats with the load stays."""
         if scale == LOAD:
             self.of_load.append(round(cycles / self.rotations))
@@ -246,7 +246,7 @@ class _Residual:
     @property
     def offset(self) -> tuple[float, float]:
         """Mean and its standard error."""
-        return float(self.rest.mean()), math.sqrt(float(self.floor[0]) / self.values.size)
+        return float(self.without_lines.mean()), math.sqrt(float(self.floor[0]) / self.values.size)
 
     @property
     def drift_per_s(self) -> tuple[float, float]:
@@ -264,10 +264,13 @@ class _Residual:
         are subtracted. ``chance``: false-alarm probability of a single order. A whole band may
         stand out too (Bonferroni over ``tests`` and bands).
         """
-        power = np.abs(np.fft.rfft(self.rest)[:: self.rotations]) ** 2 / self.rest.size
+        power = (
+            np.abs(np.fft.rfft(self.without_lines)[:: self.rotations]) ** 2
+            / self.without_lines.size
+        )
         floor = self.floor[:: self.rotations]
         ratio = power / floor
-        if self.rest.size % (2 * self.rotations) == 0:
+        if self.without_lines.size % (2 * self.rotations) == 0:
             ratio[-1] = 0.0  # at half the sampling rate a bin has one degree of freedom only
         bands = []
         for highest in BANDS[1:]:
@@ -276,7 +279,7 @@ class _Residual:
         probability, highest = min(bands)
         significant = np.flatnonzero(ratio > math.log(ratio.size / chance))
         highest = max(highest, int(significant.max(initial=0)))
-        excess = 2.0 / self.rest.size * float((power - floor)[1 : highest + 1].sum())
+        excess = 2.0 / self.without_lines.size * float((power - floor)[1 : highest + 1].sum())
         orders = (1, highest) if len(bands) * probability * tests <= SURE else None
         if (significant := significant[significant > 0]).size:
             below = np.cumsum(power[significant]) / power[significant].sum()
@@ -287,7 +290,7 @@ class _Residual:
 
     def over_noise(self, repeating: float) -> float:
         """Power of the repeating part, lines and drift, over the noise power."""
-        removed = float(np.mean((self.values - self.rest) ** 2))
+        removed = float(np.mean((self.values - self.without_lines) ** 2))
         return (repeating + removed) / float(np.mean(self.floor[:-1]))
 
 
@@ -373,7 +376,7 @@ def analyse_residuals(
         )
         remaining += _with_load(channel, residuals, repeating)
         remaining += (_line(channel, residuals, *line) for line in lines)
-        remaining += _numbers(channel, residuals, tests)
+        remaining += _offset_and_drift(channel, residuals, tests)
     return ResidualAnalysis(tuple(remaining), power)
 
 
@@ -445,7 +448,7 @@ def _lines(
         places = []
         for i, (gain, cycles) in enumerate(gains[drawn]):
             if i == strongest_index or gain > -math.log(chance):
-                residuals[i].take_out(drawn, cycles)
+                residuals[i].remove(drawn, cycles)
                 places.append((i, len(residuals[i].cycles) - 1))
         if drawn != LOAD:
             yield drawn if by_order or len(plausible) == 1 else "angle or time", places
@@ -485,7 +488,9 @@ def _with_load(
         yield Unexplained(channel, LOAD, size, unit, float(low), float(high), math.nan, names)
 
 
-def _numbers(channel: str, residuals: Sequence[_Residual], tests: int) -> Iterator[Unexplained]:
+def _offset_and_drift(
+    channel: str, residuals: Sequence[_Residual], tests: int
+) -> Iterator[Unexplained]:
     """Significant offset and drift of a channel, the largest over the recordings."""
     unit, nan = unit_of(channel), math.nan
     quantities: list[tuple[What, str, list[tuple[float, float]]]] = [

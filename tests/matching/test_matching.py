@@ -166,7 +166,7 @@ def test_recordings_are_whitened_again_where_the_noise_is_another() -> None:
     asked = model(reference_bench())
     other = [replace(noise, root=2.0 * noise.root) for noise in asked.noise]
     white = asked.whitened(POINTS)
-    assert asked.beside(asked.bench, []).whitened(POINTS) == pytest.approx(white)
+    assert asked.with_unknowns(asked.bench, []).whitened(POINTS) == pytest.approx(white)
     assert replace(asked, noise=other).whitened(POINTS) == pytest.approx(0.5 * white)
 
 

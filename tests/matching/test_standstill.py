@@ -10,7 +10,7 @@ import pytest
 from bayesbl.bench.motion import held_motion, strokes
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
-from bayesbl.matching.alignment import believed, fit_aligned, in_motion
+from bayesbl.matching.alignment import fit_aligned, in_motion, valid_variant
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed, standstills
 from bayesbl.matching.predictive_check import agrees, disagreements
@@ -68,7 +68,7 @@ def test_a_motion_is_believed_as_it_was_made(held: bool, creep_a: float) -> None
     """The check passes, and the gap is within 3.5 standard deviations: by chance 1 in 2000."""
     fit = fitted(recording(held=held, creep_a=creep_a))
     assert agrees(disagreements(fit)) == (not held and creep_a == 0.0)
-    found = believed(fit)
+    found = valid_variant(fit)
     assert agrees(disagreements(found))
     assert (REFERENCE_DELAY in [u.name for u in found.model.unknowns]) == (not held)
     assert abs(found.value(GAP) / GAP_RAD - 1.0) < 3.5 * found.sd(GAP)

@@ -366,7 +366,9 @@ def test_friction_that_drifts_leaves_the_gaps_where_they_are(tmp_path, seed):
             name=f"{motor}",
         )
         recordings.append(recording)
-    fit = fit_jointly(known, [observed(r, known) for r in recordings], (1e-5, 1e-2), {}).rest.fit
+    fit = fit_jointly(
+        known, [observed(r, known) for r in recordings], (1e-5, 1e-2), {}
+    ).linear_fit.fit
     for recording in recordings:
         # Fails by chance in 1 of 10 000.
         sd = fit.sd(GAP, recording.name)

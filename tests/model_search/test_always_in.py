@@ -24,11 +24,11 @@ from bayesbl.model_search.always_in import (
     Direction,
     Label,
     always_terms,
-    beside,
     directions,
     edge_variances,
     laws,
-    settled,
+    linearised_fit,
+    with_far_terms_freed,
     with_friction,
     with_neutral,
 )
@@ -140,7 +140,7 @@ def test_the_column_of_a_lag_beside_ticks_is_what_the_lag_does(slot: str) -> Non
     (own,) = [d for d in directions(DRIVE, {}) if d.slot == slot]
     (label,), (column,) = always_terms(fit, [own])
     lagging = with_neutral(DRIVE, [own])
-    beside_lag = fit.model.beside(lagging, [Unknown(slot, added=True)])
+    beside_lag = fit.model.with_unknowns(lagging, [Unknown(slot, added=True)])
     size_s = 5e-4
     none, some = beside_lag.whitened(np.append(fit.point, 0.0)), np.append(fit.point, size_s)
     whole = (none[0] - beside_lag.whitened(some)[0]) * label.scales[0] / size_s
@@ -164,7 +164,7 @@ def test_dry_friction_at_one_speed_is_told_from_viscous_by_the_crossing() -> Non
         for name, gap in gaps_rad.items()
     ]
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
-    rest, joint = whole.rest, whole.joint
+    rest, joint = whole.linear_fit, whole.joint
     fit = rest.fit
     assert joint.explained
     shift = rest.posterior.draw(np.random.default_rng(0), 1000).shift
@@ -204,9 +204,11 @@ def test_a_period_that_nobody_states_is_found_beside_dry_friction(
     seen = by_ticks(independent, BENCH, truth | {"start_angle_rad": 0.4}, True)
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
     assert_holds_the_gaps(whole)
-    (ticks,) = [e for e in whole.rest.fit.model.bench.effects if e.name == "sampled_control"]
+    (ticks,) = [e for e in whole.linear_fit.fit.model.bench.effects if e.name == "sampled_control"]
     assert ticks.complete()["period_s"] == period_s
-    assert whole.rest.fit.value("sampled_control__delay_periods") == pytest.approx(delay, abs=0.1)
+    assert whole.linear_fit.fit.value("sampled_control__delay_periods") == pytest.approx(
+        delay, abs=0.1
+    )
 
 
 def test_loops_that_fit_alike_are_averaged_over(independent: ModuleType) -> None:
@@ -216,7 +218,7 @@ def test_loops_that_fit_alike_are_averaged_over(independent: ModuleType) -> None
     seen = by_ticks(independent, BENCH, truth | {"start_angle_rad": 0.4}, with_current=False)
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
     assert_holds_the_gaps(whole)
-    chosen = whole.rest.fit
+    chosen = whole.linear_fit.fit
     loops = [(own.fit, share) for own, share in whole.others if not own.explanation.candidates]
     assert loops
     assert sum(share for _, share in whole.others) < 1.0
@@ -245,7 +247,10 @@ def by_ticks(
 
 def assert_holds_the_gaps(whole: JointFit) -> None:
     assert whole.joint.explained
-    fit, shift = whole.rest.fit, whole.rest.posterior.draw(np.random.default_rng(0), 1000).shift
+    fit, shift = (
+        whole.linear_fit.fit,
+        whole.linear_fit.posterior.draw(np.random.default_rng(0), 1000).shift,
+    )
     for name, gap in GAPS_RAD.items():
         place = fit.model.index(GAP, name)
         sd = math.hypot(math.sqrt(fit.covariance[place, place]), float(shift[:, place].std()))
@@ -330,7 +335,7 @@ def test_a_law_many_times_as_large_as_usual_is_not_pulled_back_to_its_usual_size
         for name, gap in GAPS_RAD.items()
     ]
     whole = fit_jointly(sheet, seen, (1e-4, 1e-2), {})
-    assert any(u.name.startswith("gap_damping") for u in whole.rest.fit.model.unknowns)
+    assert any(u.name.startswith("gap_damping") for u in whole.linear_fit.fit.model.unknowns)
     assert_holds_the_gaps(whole)
 
 
@@ -343,7 +348,7 @@ def test_the_least_that_a_change_leaves_is_a_hundredth_of_what_there_was(share: 
     bench_values = BENCH.vector(**{STIFFNESS: value})[0]
     shared = Unknown(STIFFNESS, 0.1 * value, 10.0 * value)
     (change_of,) = label.unknowns(bench_values, np.ones(1))
-    model = fit.model.beside(BENCH, [shared, change_of])
+    model = fit.model.with_unknowns(BENCH, [shared, change_of])
     point = np.array([*fit.point, value, change_of.low])
     _, after = (
         float(model.vectors(point[None], own)[0, Slot[STIFFNESS]]) for own in model.recordings
@@ -356,7 +361,7 @@ def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     nominal = pair(scaled(**{INERTIA: 1.03, STIFFNESS: 0.99}))
     before, sd = change(nominal, np.zeros((2, nominal.point.size)))
     assert abs(before) > 5.0 * sd
-    rest = settled(nominal, directions(BENCH, {}))
+    rest = with_far_terms_freed(nominal, directions(BENCH, {}))
     fit = rest.fit
     after, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
     assert abs(after) < 2.6 * wider  # one false alarm in a hundred
@@ -373,8 +378,8 @@ def test_what_a_setting_or_a_weight_does_to_one_recording_is_not_taken_for_wear(
     seen = pair_seen(BENCH.with_effects(BenchEffect(effect, size)), seed=11)
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
     assert whole.joint.explained
-    shift = whole.rest.posterior.draw(np.random.default_rng(0), 2000).shift
-    found, wider = change(whole.rest.fit, shift)
+    shift = whole.linear_fit.posterior.draw(np.random.default_rng(0), 2000).shift
+    found, wider = change(whole.linear_fit.fit, shift)
     assert abs(found) < 2.6 * wider  # one false alarm in a hundred
     assert wider < 0.03
 
@@ -383,7 +388,7 @@ def test_what_a_setting_or_a_weight_does_to_one_recording_is_not_taken_for_wear(
 def test_a_payload_changes_inertia_and_gravity_at_once() -> None:
     """Gravity is seen at once; the inertia looked like drift of damping and stiffness."""
     nominal = pair(scaled(**{INERTIA: 0.97, GRAVITY: 1.03}), seed=3)
-    rest = settled(nominal, directions(BENCH, {}))
+    rest = with_far_terms_freed(nominal, directions(BENCH, {}))
     fit = rest.fit
     assert {INERTIA, GRAVITY} <= {u.name for u in fit.model.unknowns if u.added}
     found, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
@@ -393,7 +398,7 @@ def test_a_payload_changes_inertia_and_gravity_at_once() -> None:
 @pytest.mark.long
 def test_an_unchanged_joint_stays_sharp_and_nothing_is_made_an_unknown() -> None:
     nominal = pair(BENCH, seed=2)
-    rest = settled(nominal, directions(BENCH, {}))
+    rest = with_far_terms_freed(nominal, directions(BENCH, {}))
     fit = rest.fit
     assert fit is nominal
     _, sd = change(nominal, np.zeros((2, nominal.point.size)))
@@ -420,7 +425,9 @@ def test_a_damping_that_only_the_gap_shows_is_within_the_interval(
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen)]
     fit = fit_aligned(BENCH, seen, unknowns)
     assert (fit.point[0] - math.log(gap_rad)) / fit.sd(GAP) < -1.645
-    shift = beside(fit, laws(BENCH)).posterior.draw(np.random.default_rng(0), 4000).shift[:, 0]
+    shift = (
+        linearised_fit(fit, laws(BENCH)).posterior.draw(np.random.default_rng(0), 4000).shift[:, 0]
+    )
     sd = math.hypot(fit.sd(GAP), float(shift.std()))
     assert abs(fit.point[0] + shift.mean() - math.log(gap_rad)) < 1.645 * sd
 
@@ -469,7 +476,7 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
 def test_a_fit_without_its_discrepancy_gives_no_gap_where_something_repeats() -> None:
     """However narrow: its draws know nothing of what nothing explains."""
     fit = pair(BENCH)
-    assert not beside(fit, directions(BENCH, {})).is_useful
+    assert not linearised_fit(fit, directions(BENCH, {})).is_useful
 
 
 def test_what_stands_beside_a_fit_leaves_its_derivatives_as_they_are() -> None:
@@ -502,7 +509,7 @@ def test_friction_that_the_bench_lacks_moves_no_gap() -> None:
         for name, gap in gaps_rad.items()
     ]
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
-    fit, joint = whole.rest.fit, whole.joint
+    fit, joint = whole.linear_fit.fit, whole.joint
     assert joint.explained
     assert not joint.changed
     for name, gap in gaps_rad.items():
@@ -545,7 +552,7 @@ def test_no_drift_takes_a_parameter_below_zero_that_its_tolerance_lowers() -> No
         Unknown(STIFFNESS, 0.75 * nominal, 1.25 * nominal),
         Unknown(STIFFNESS, -nominal, sd=0.01 * nominal, recording="after", added=True),
     ]
-    model = fit.model.beside(bench, unknowns)
+    model = fit.model.with_unknowns(bench, unknowns)
     point = np.array([*fit.point, 0.75 * nominal, -0.9 * nominal])
     before, after = (
         float(model.vectors(point[None], seen)[0, Slot[STIFFNESS]]) for seen in model.recordings
@@ -561,7 +568,7 @@ def test_a_drift_below_what_all_have_leaves_nothing_and_every_column_is_finite()
     bench = with_friction(BENCH, seen)
     fit = fit_aligned(bench, seen, direct_unknowns(bench, [s.name for s in seen], (1e-4, 1e-2)))
     drift = Unknown(slot.name, -1.0, 1.0, recording="after", added=True)
-    model = fit.model.beside(bench, [drift])
+    model = fit.model.with_unknowns(bench, [drift])
     point = np.array([*fit.point, -1e-3])
     for shared in (2e-5, 0.0):
         point[model.index(slot.name)] = shared
@@ -588,5 +595,7 @@ def test_a_law_at_the_end_of_its_range_has_its_slope_from_within() -> None:
         )
         fit = fit_aligned(bench, [seen], direct_unknowns(bench, ["one"], (1e-4, 1e-2)))
         own = Direction(f"arm__{damping.name}", 0.2 * damping.high, 0.0, is_fitted=True)
-        sizes.append(beside(fit, [own]).posterior.draw(np.random.default_rng(1), 500).sizes.std())
+        sizes.append(
+            linearised_fit(fit, [own]).posterior.draw(np.random.default_rng(1), 500).sizes.std()
+        )
     assert sizes[0] == pytest.approx(sizes[1], rel=0.3)

@@ -263,5 +263,5 @@ def test_colder_grease_leaves_the_gap_alone_at_one_speed(independent):
         "motor_viscous_friction.coefficient_nm_s_per_rad": 4e-4,
     }
     seen = nominal_fit(independent, truth, seed=11).model.recordings
-    grown, sd = change(fit_jointly(BENCH, seen, GAP_RANGE_RAD, {}).rest.fit)
+    grown, sd = change(fit_jointly(BENCH, seen, GAP_RANGE_RAD, {}).linear_fit.fit)
     assert abs(grown) < 2.6 * sd  # a false alarm in a hundred

@@ -119,7 +119,7 @@ class Findings:
         all other sets; no other of a learned torque."""
         others = () if self.learned else self.naming.others
         among = laws(self.final.fit.model.bench)
-        return AveragedFit(rest=self.chosen, others=others, among=among)
+        return AveragedFit(linear_fit=self.chosen, others=others, among=among)
 
 
 def search(

@@ -313,7 +313,7 @@ def _typical_size(fit: SimulatedFit, series: Series) -> float:
 
 def _with(model: SimulatedSignals, series: Series, unknowns: Sequence[Unknown]) -> SimulatedSignals:
     """The comparison with a series, all of it zero, and these unknowns more."""
-    return model.beside(model.bench.with_learned(series.nothing), unknowns)
+    return model.with_unknowns(model.bench.with_learned(series.nothing), unknowns)
 
 
 def aligned(sizes: FloatArray, series: Series) -> tuple[FloatArray, list[float]]:
