@@ -162,7 +162,7 @@ def _answered(
     rest = with_far_terms_freed(nominal, among)
     withheld, told = False, any(u.added for u in rest.fit.model.unknowns)
     if not agrees(rest.check):
-        naming, joint_findings = find_changes(rest.fit, among=among)
+        naming, joint_findings = find_changes(rest.fit, nuisances=among)
         rest = naming.linear_fit or linearised_fit(naming.final.fit, among)
         told = bool(joint_findings.changed)
         withheld = not (joint_findings.explained or rest.is_useful)

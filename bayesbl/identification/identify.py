@@ -226,7 +226,7 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Lin
     naming = name_missing(
         nominal.fit,
         partial(_hypotheses, problem, nominal),
-        among=laws(nominal.fit.model.bench),
+        nuisances=laws(nominal.fit.model.bench),
         progress=of_stage(progress, "Naming what is missing"),
     )
     if naming.repeats and not far_off:

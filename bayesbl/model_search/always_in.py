@@ -412,7 +412,7 @@ class LinearisedFit:
     loops: tuple[tuple[SimulatedFit, SimulatedFit], ...] = ()
 
     def far_terms(self) -> list[tuple[Label, FloatArray]]:
-        """Terms far from their values in the fit, each with its best size alone in standard
+        """Terms far from their values in the fit, each with its best size alone, in standard
         deviations.
 
         A term is far if its mean is far from zero, or if a change is almost certain. If only all
@@ -488,8 +488,8 @@ class LinearisedFit:
     def is_useful(self) -> bool:
         """Whether the gaps are useful although something unexplained repeats.
 
-        If χ² is twice what noise leaves, a linearisation at the fit is meaningless. Without a
-        discrepancy term, the draws do not include what repeats.
+        If χ² is more than twice what noise leaves, a linearisation at the fit is meaningless.
+        Without a discrepancy term, the draws do not include what repeats.
         """
         fit = self.fit
         if not self.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
@@ -513,11 +513,10 @@ class LinearisedFit:
         )
 
 
-def linearised_fit(fit: SimulatedFit, among: Sequence[Direction]) -> LinearisedFit:
-    """Linearise laws, drift and changes at a fit; those that are unknowns of its model are left
-    out."""
+def linearised_fit(fit: SimulatedFit, nuisances: Sequence[Direction]) -> LinearisedFit:
+    """Linearise laws, drift and changes at a fit, except those that are its unknowns."""
     model, d = fit.model, fit.point.size
-    labels = _labels(fit, among)
+    labels = _labels(fit, nuisances)
     width = sum(len(label.directions) for label in labels)
     ends = np.cumsum([part.size for part in model.by_recording(fit.residual)])[:-1]
     jacobians, residuals = np.split(fit.derivatives(), ends), np.split(fit.residual, ends)
@@ -568,11 +567,10 @@ def _lag_s(fit: SimulatedFit) -> float:
 
 
 def always_terms(
-    fit: SimulatedFit, among: Sequence[Direction]
+    fit: SimulatedFit, nuisances: Sequence[Direction]
 ) -> tuple[tuple[Label, ...], list[FloatArray]]:
-    """Labels of laws and drift at a fit with their columns, (N, k) each; without causes of a
-    change."""
-    labels = tuple(label for label in _labels(fit, among) if not label.cause)
+    """Labels and columns, (N, k) each, of laws and drift at a fit; without causes of a change."""
+    labels = tuple(label for label in _labels(fit, nuisances) if not label.cause)
     ends = np.cumsum([0, *(len(label.directions) for label in labels)])
     parts = fit.model.by_recording(fit.residual)
     rows = []
@@ -586,8 +584,7 @@ def always_terms(
 
 
 def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
-    """Dry share of each side's friction, for a fit at one speed that takes all friction for
-    viscous.
+    """Dry share of each side's friction, for a fit at one speed that takes it all for viscous.
 
     Dry friction does not brake a load more when it crosses the gap faster, and it does not damp the
     motor's ringing. Half-normal.
@@ -615,19 +612,19 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
             )
 
 
-def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
+def _labels(fit: SimulatedFit, nuisances: Sequence[Direction]) -> tuple[Label, ...]:
     """Labels of each direction in all snapshots, and of drift and causes in each but the first."""
-    model, among = fit.model, [*among, *_dry_shares(fit)]
+    model, nuisances = fit.model, [*nuisances, *_dry_shares(fit)]
     taken = {(u.name, u.recording) for u in model.unknowns}
     owners = [observation.name for observation in model.recordings[1:]]
-    labels = [Label((d,), None) for d in among if d.usual > 0.0]
-    labels += [Label((d,), owner) for d in among if d.drift > 0.0 for owner in owners]
+    labels = [Label((d,), None) for d in nuisances if d.usual > 0.0]
+    labels += [Label((d,), owner) for d in nuisances if d.drift > 0.0 for owner in owners]
     for owner in owners:
         for cause, slots in CAUSES.items():
-            changed = tuple(d for d in among if d.slot in slots and d.changed > 0.0)
+            changed = tuple(d for d in nuisances if d.slot in slots and d.changed > 0.0)
             if changed:
                 labels.append(Label(changed, owner, cause))
-        effects = (d for d in among if "__" in d.slot and d.changed > 0.0)
+        effects = (d for d in nuisances if "__" in d.slot and d.changed > 0.0)
         labels += [Label((d,), owner, d.slot.partition("__")[0]) for d in effects]
     return tuple(
         label
@@ -656,13 +653,13 @@ def _columns(
     ]
     if not acting:
         return [], np.zeros((fit.model.by_recording(fit.residual)[index].size, 0))
-    among = list(dict.fromkeys(entries[k][1] for k in acting))
-    unknowns = [Unknown(d.slot, recording=observation.name, added=True) for d in among]
+    nuisances = list(dict.fromkeys(entries[k][1] for k in acting))
+    unknowns = [Unknown(d.slot, recording=observation.name, added=True) for d in nuisances]
     point = np.concatenate([fit.point, np.zeros(len(unknowns))])
     slopes = _slopes(
-        model.with_unknowns(with_neutral(model.bench, among), unknowns), point, index, among
+        model.with_unknowns(with_neutral(model.bench, nuisances), unknowns), point, index, nuisances
     )
-    rows = [among.index(entries[k][1]) for k in acting]
+    rows = [nuisances.index(entries[k][1]) for k in acting]
     return acting, np.asarray(slopes[rows].T * [entries[k][2] for k in acting])
 
 
@@ -670,21 +667,21 @@ def _slopes(
     model: SimulatedSignals,
     point: FloatArray,
     index: int,
-    among: Sequence[Direction],
+    nuisances: Sequence[Direction],
 ) -> FloatArray:
     """Derivatives of a recording's whitened signals by the last unknowns of its model, (k, N)."""
-    positions = point.size - len(among) + np.arange(len(among))
-    steps = np.array([max(FIRST_STEP * d.size, d.least) for d in among])
+    positions = point.size - len(nuisances) + np.arange(len(nuisances))
+    steps = np.array([max(FIRST_STEP * d.size, d.least) for d in nuisances])
     reference = model.whitened_of(point[None], index)[0]
     values = model.vectors(point[None], model.recordings[index])[0]
-    current = values[[Slot[d.slot] for d in among]]
+    current = values[[Slot[d.slot] for d in nuisances]]
     # Step towards the farther end of the simulator's range if there is no room above.
-    low, high = np.array([simulated_range(d.slot) for d in among]).T
-    farthest = LARGEST_STEP * np.array([d.size for d in among])
+    low, high = np.array([simulated_range(d.slot) for d in nuisances]).T
+    farthest = LARGEST_STEP * np.array([d.size for d in nuisances])
     signs = np.where((high - current < farthest) & (current - low > high - current), -1.0, 1.0)
     farthest = np.minimum(farthest, np.where(signs > 0.0, high - current, current - low))
-    reduction, share = np.zeros((len(among), point.size)), np.ones(len(among))
-    for k, direction in enumerate(among):
+    reduction, share = np.zeros((len(nuisances), point.size)), np.ones(len(nuisances))
+    for k, direction in enumerate(nuisances):
         if direction.instead_of:
             reduced = model.index(direction.instead_of)
             reduction[k, reduced] = -direction.per_unit
@@ -693,7 +690,7 @@ def _slopes(
             room = min(share[k], 1.0) * point[reduced] - model.low[reduced]
             farthest[k] = min(farthest[k], room / direction.per_unit)
     steps = np.minimum(steps, farthest)
-    slopes, pending = np.zeros((len(among), reference.size)), np.flatnonzero(steps > 0.0)
+    slopes, pending = np.zeros((len(nuisances), reference.size)), np.flatnonzero(steps > 0.0)
     for _ in range(2):
         points = np.repeat(point[None], pending.size, axis=0)
         offsets = signs[pending] * steps[pending]
@@ -705,7 +702,7 @@ def _slopes(
         slopes[pending] = changes / offsets[:, None]
         norms = np.linalg.norm(changes, axis=1)
         adjusted = steps[pending] * SEEN_STEP / np.maximum(norms, 1e-12)
-        adjusted = np.clip(adjusted, [among[int(k)].least for k in pending], farthest[pending])
+        adjusted = np.clip(adjusted, [nuisances[int(k)].least for k in pending], farthest[pending])
         unfit = (adjusted > 2.0 * steps[pending]) | (adjusted < 0.2 * steps[pending])
         steps[pending], pending = adjusted, pending[unfit]
         if not pending.size:
@@ -713,34 +710,33 @@ def _slopes(
     return slopes * share[:, None]
 
 
-def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
+def with_neutral(bench: Bench, nuisances: Sequence[Direction]) -> Bench:
     """The bench with every law that it lacks, at size zero."""
     have = {effect.name for effect in bench.effects}
     added = [
         BenchEffect(
             name, {p.name: EffectParameterValue(p.neutral) for p in effect_named(name).parameters}
         )
-        for name in dict.fromkeys(d.effect for d in among if d.effect is not None)
+        for name in dict.fromkeys(d.effect for d in nuisances if d.effect is not None)
         if name not in have
     ]
     return bench.with_effects(*bench.effects, *added) if added else bench
 
 
 def with_far_terms_freed(
-    fit: SimulatedFit, among: Sequence[Direction], progress: Progress = silent
+    fit: SimulatedFit, nuisances: Sequence[Direction], progress: Progress = silent
 ) -> LinearisedFit:
-    """Free the terms that are far, one after another, and linearise the others at the resulting
-    fit.
+    """Free the terms that are far, one after another, and linearise the others at the new fit.
 
     A term may be far only because another is missing, so one is freed at a time. If the result does
     not explain the recordings, nothing is freed: a misfit moved the terms, and would move the gaps
     too.
     """
-    nominal = linear_fit = linearised_fit(fit, among)
+    nominal = linear_fit = linearised_fit(fit, nuisances)
     loops: list[tuple[SimulatedFit, SimulatedFit]] = []
     for rounds in range(MOST_ROUNDS):
         progress(rounds, MOST_ROUNDS)
-        trials = _with_next_freed(linear_fit, among)
+        trials = _with_next_freed(linear_fit, nuisances)
         if not trials:
             break
         freed = trials[0]
@@ -748,16 +744,15 @@ def with_far_terms_freed(
         lean = [trial.without_derivatives() for trial in trials if trial.chi_square < limit]
         loops += [(lean[0], trial) for trial in lean[1:]]
         fit = fit_simulated(freed.model, freed.point, freed.steps, one_sided=True)
-        linear_fit = linearised_fit(fit, among)
+        linear_fit = linearised_fit(fit, nuisances)
     if linear_fit is nominal or not linear_fit.explains:
         return nominal
-    linear_fit = linearised_fit(fit_simulated(fit.model, fit.point, fit.steps), among)
+    linear_fit = linearised_fit(fit_simulated(fit.model, fit.point, fit.steps), nuisances)
     return replace(linear_fit, loops=tuple(loops))
 
 
 def other_loops(linear_fit: LinearisedFit) -> list[SimulatedFit]:
-    """Fits with the other loops that may be the joint's, and everything freed since they were
-    tried.
+    """Fits with the other loops that may be the joint's, and everything freed after them.
 
     The recordings often cannot tell which loop is the right one, and each gives its own gap.
     """
@@ -787,7 +782,9 @@ def common_unknowns(first: SimulatedSignals, second: SimulatedSignals) -> Iterat
     )
 
 
-def _with_next_freed(linear_fit: LinearisedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
+def _with_next_freed(
+    linear_fit: LinearisedFit, nuisances: Sequence[Direction]
+) -> list[SimulatedFit]:
     """Free one more of the far terms: the best fit and its rivals; empty if no fit is better.
 
     Linear lags are much alike. So if a lag promises most, or the fit is far off, all lags are
@@ -797,7 +794,7 @@ def _with_next_freed(linear_fit: LinearisedFit, among: Sequence[Direction]) -> l
     fit, far_terms = linear_fit.fit.with_derivatives(), linear_fit.far_terms()
     lags = [term for term in far_terms if term[0].is_lag]
     if lags and (far_terms[0][0].is_lag or fit.chi_square > _goal(fit)):
-        trials: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
+        trials: list[SimulatedFit | None] = [*_sampled_loops(fit, nuisances)]
         if not trials or all(e.name != SAMPLED for e in fit.model.bench.effects):
             trials += [_freed(fit, *term) for term in lags]
         rivals = sorted((f for f in trials if f is not None), key=lambda f: f.chi_square)
@@ -825,7 +822,7 @@ def _freed(fit: SimulatedFit, label: Label, sizes: FloatArray) -> SimulatedFit |
     return _fitted_from(model, fit, [unknown.centre for unknown in added], move)
 
 
-def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
+def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[SimulatedFit]:
     """Fits with a sampled controller, each from its own dead time: χ² has many minima in it.
 
     The period is the bench's, or each of the usual ones. The most promising is fitted first; the
@@ -841,7 +838,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     else:
         is_known = DEAD_TIME in taken or "delay_periods" in stated.parameters
         periods_s = () if is_known else (stated.complete()["period_s"],)
-    minimal_chi_square, models, promises = _minimal_chi_square(fit, among), {}, []
+    minimal_chi_square, models, promises = _minimal_chi_square(fit, nuisances), {}, []
     for period_s in periods_s:
         bench = fit.model.bench
         if stated is None:
@@ -949,14 +946,13 @@ def edge_variances(posterior: DirectPosterior) -> FloatArray:
 
 
 def _minimal_chi_square(
-    fit: SimulatedFit, among: Sequence[Direction]
+    fit: SimulatedFit, nuisances: Sequence[Direction]
 ) -> Callable[[FloatArray], tuple[float, FloatArray]]:
-    """Make a function of a residual (N,): its minimal χ², and the shift of the fit's unknowns,
-    (d,).
+    """Function from a residual (N,) to its minimal χ² and the shift of the fit's unknowns, (d,).
 
     Unknowns, laws and drift vary within their priors.
     """
-    _, columns = always_terms(fit, among)
+    _, columns = always_terms(fit, nuisances)
     jacobian, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
     laws = np.hstack([np.zeros((jacobian.shape[0], 0)), *columns])
     stacked = np.vstack([np.hstack([jacobian, laws]), block_diag(prior, np.eye(laws.shape[1]))])

@@ -201,12 +201,13 @@ def averaged(
     posterior: DirectPosterior,
     others: Sequence[tuple[FittedSet, float]],
     seed: np.random.SeedSequence,
-    among: Sequence[Direction] = (),
+    nuisances: Sequence[Direction] = (),
 ) -> DirectPosterior:
     """Average the draws over all sets, each with its share, normal at its fit.
 
     Unknowns that only one of two sets has keep their draws. ``others``: sets with their
-    probabilities; ``among``: directions to marginalise in each set, if the search did not do so.
+    probabilities; ``nuisances``: directions to marginalise in each set, if the search did not do
+    so.
     """
     model = posterior.fit.model
     rng, draws = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
@@ -214,7 +215,7 @@ def averaged(
     for rival, weight in others:
         if count := round(weight * len(draws)):
             rows, order = order[:count], order[count:]
-            reweighed = weighed(rival.explanation, among) if among else rival
+            reweighed = weighed(rival.explanation, nuisances) if nuisances else rival
             common = sum(1 for _ in common_unknowns(model, rival.fit.model))
             rival_draws = reweighed.draws(rng, count)[:, :common]
             draws[rows, :common] = np.clip(rival_draws, model.low[:common], model.high[:common])
@@ -226,7 +227,7 @@ def name_missing(
     candidates: Callable[[Sequence[float]], Sequence[Candidate]],
     *,
     max_effects: int = 3,
-    among: Sequence[Direction] = (),
+    nuisances: Sequence[Direction] = (),
     progress: Progress = silent,
 ) -> Naming:
     """Compute the posterior over sets of candidates, and name hypotheses from it.
@@ -240,14 +241,18 @@ def name_missing(
     candidates
         Makes all candidates from the motor orders that stand out. Orders are sought again in the
         residual of the best set, which may have hidden them.
-    among
+    nuisances
         Directions marginalised in each set. If empty, ``linear_fit`` of the result is ``None``.
     progress
         Called with (fits made, fits expected).
     """
-    posterior = SetSearch(Explanation((), nominal_fit), candidates, max_effects, among, progress)
+    posterior = SetSearch(
+        Explanation((), nominal_fit), candidates, max_effects, nuisances, progress
+    )
     naming = posterior.answer()
-    return replace(naming, linear_fit=posterior.linearised_fit(naming.final)) if among else naming
+    return (
+        replace(naming, linear_fit=posterior.linearised_fit(naming.final)) if nuisances else naming
+    )
 
 
 class SetSearch:
@@ -261,10 +266,10 @@ class SetSearch:
         nominal: Explanation,
         candidates: Callable[[Sequence[float]], Sequence[Candidate]],
         max_size: int,
-        among: Sequence[Direction] = (),
+        nuisances: Sequence[Direction] = (),
         progress: Progress = silent,
     ) -> None:
-        self._catalogue, self._max_size, self._among = candidates, max_size, among
+        self._catalogue, self._max_size, self._nuisances = candidates, max_size, nuisances
         self._progress = progress
         # All sets share the recorder's noise, and its simulation is expensive.
         self._noise = noise_in_loop(nominal.fit)
@@ -323,12 +328,12 @@ class SetSearch:
         scanned = [
             c
             for c in self._candidates.values()
-            if not self._among or (c.kind == "effect" and effect_named(c.name).may_change)
+            if not self._nuisances or (c.kind == "effect" and effect_named(c.name).may_change)
         ]
         for explanation in from_afar(self.nominal.explanation, scanned):
             self._add(polished(explanation))
             # If another law is missing too, a fit of this one alone is drawn away again.
-            self._explore(weighed(explanation, self._among, self._noise))
+            self._explore(weighed(explanation, self._nuisances, self._noise))
 
     @property
     def sets(self) -> tuple[tuple[FittedSet, float], ...]:
@@ -377,7 +382,7 @@ class SetSearch:
 
     def linearised_fit(self, explanation: Explanation) -> LinearisedFit:
         """Linearise laws and drift at a fit; with a misfit, all other laws together too."""
-        linear_fit = linearised_fit(explanation.fit, self._among)
+        linear_fit = linearised_fit(explanation.fit, self._nuisances)
         if linear_fit.explains:
             return linear_fit
         explanation = explanation.with_derivatives()
@@ -509,7 +514,7 @@ class SetSearch:
         return self._sets[keys]
 
     def _weighed(self, explanation: Explanation) -> FittedSet:
-        fitted = weighed(explanation, self._among, self._noise)
+        fitted = weighed(explanation, self._nuisances, self._noise)
         fitted.log_evidence += log_odds(self._probability) * len(explanation.candidates)
         return fitted
 
@@ -536,7 +541,7 @@ class SetSearch:
                 )
         looks = Counter(term.hypothesis for term in terms)
         terms = [replace(term, prior_weight=1.0 / looks[term.hypothesis]) for term in terms]
-        return linearised(explanation, terms, self._among, self._noise)
+        return linearised(explanation, terms, self._nuisances, self._noise)
 
     def _columns(
         self,
@@ -582,15 +587,15 @@ class SetSearch:
 
 def weighed(
     explanation: Explanation,
-    among: Sequence[Direction] = (),
+    nuisances: Sequence[Direction] = (),
     noise: Sequence[Sequence[FloatArray]] | None = None,
 ) -> FittedSet:
     """Compute the evidence of a set, with equal prior odds for all sets.
 
-    ``among``: directions to marginalise; ``noise``: in the loop, as :func:`noise_in_loop` made it
-    at another fit.
+    ``nuisances``: directions to marginalise; ``noise``: in the loop, as :func:`noise_in_loop` made
+    it at another fit.
     """
-    view = linearised(explanation, (), among, noise)
+    view = linearised(explanation, (), nuisances, noise)
     posterior = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
     # Laplace volume of the added unknowns; the posterior has that of all others.
@@ -602,13 +607,13 @@ def weighed(
 def linearised(
     explanation: Explanation,
     terms: Sequence[Term],
-    among: Sequence[Direction] = (),
+    nuisances: Sequence[Direction] = (),
     noise: Sequence[Sequence[FloatArray]] | None = None,
 ) -> Linearised:
     """The view at a fit: terms of whitened signals, (N, k) each, then those always included."""
     fit = explanation.fit
     noise = noise_in_loop(fit) if noise is None else noise
-    labels, columns = always_terms(fit, among) if among else ((), [])
+    labels, columns = always_terms(fit, nuisances) if nuisances else ((), [])
     always = [label.term(term_columns) for label, term_columns in zip(labels, columns, strict=True)]
     forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
     return _banded(fit, [*terms, *always], forms, noise)

@@ -189,7 +189,7 @@ class ElasticPart:
 
 
 def elastic_parts(
-    fit: SimulatedFit, among: Sequence[Direction]
+    fit: SimulatedFit, nuisances: Sequence[Direction]
 ) -> tuple[tuple[FittedSet, float], ...]:
     """Fit the joint without and with an elastic belt, arm or base; the most probable model first.
 
@@ -200,7 +200,7 @@ def elastic_parts(
     bench, recordings = fit.model.bench, fit.model.recordings
     names = [e.name for e in EFFECTS if e.resonance is not None]
     parts = [c for c in candidates(bench, recordings, names) if c.name in names]
-    return SetSearch(Explanation((), fit), lambda _: parts, 1, among).sets
+    return SetSearch(Explanation((), fit), lambda _: parts, 1, nuisances).sets
 
 
 def with_part(nominal: SimulatedFit, explanation: Explanation, probability: float) -> ElasticPart:
@@ -257,7 +257,7 @@ def _frequency_hz(bench: Bench, name: str, values: Mapping[str, float]) -> float
 def find_changes(
     nominal: SimulatedFit,
     *,
-    among: Sequence[Direction] = (),
+    nuisances: Sequence[Direction] = (),
     progress: Progress = silent,
 ) -> tuple[Naming, JointFindings]:
     """Find what must differ from the bench, in all recordings or in one, to explain them.
@@ -266,7 +266,7 @@ def find_changes(
     ----------
     nominal
         All recordings of a joint fitted together with the bench as believed.
-    among
+    nuisances
         Directions marginalised at every fit, which are therefore no blind spots.
     progress
         Called with (fits made, fits expected).
@@ -275,7 +275,7 @@ def find_changes(
         nominal,
         partial(_candidates, nominal),
         max_effects=MOST_CHANGES,
-        among=among,
+        nuisances=nuisances,
         progress=progress,
     )
     final, linear_fit = naming.final, naming.linear_fit
@@ -286,20 +286,20 @@ def find_changes(
         explained,
         tuple(_parameters(final)),
         tuple(names),
-        tuple(blind_spots(final.fit, among)) if explained else (),
+        tuple(blind_spots(final.fit, nuisances)) if explained else (),
     )
 
 
 def changes_at_fit(
-    fit: SimulatedFit, among: Sequence[Direction], part: AddedPart | None = None
+    fit: SimulatedFit, nuisances: Sequence[Direction], part: AddedPart | None = None
 ) -> JointFindings:
     """Find the changes of the joint if laws, drift and changes at a fit explain everything.
 
-    ``among``: marginalised directions, which are no blind spots; the far ones are unknowns by now.
+    ``nuisances``: marginalised directions, which are no blind spots; far ones are unknowns by now.
     ``part``: an elastic part that the bench lacks.
     """
     names = tuple(observation.name for observation in fit.model.recordings)
-    by_slot = {direction.slot: direction for direction in among}
+    by_slot = {direction.slot: direction for direction in nuisances}
     changed: list[ChangedParameter] = []
     allowed = [] if part is None else [*part.values]
     for unknown in fit.model.unknowns:
@@ -318,7 +318,7 @@ def changes_at_fit(
         True,
         tuple(changed),
         tuple(dict.fromkeys(c.name for c in changed)),
-        tuple(blind_spots(fit, among)),
+        tuple(blind_spots(fit, nuisances)),
         tuple(allowed),
         part,
     )
@@ -464,11 +464,11 @@ def _own_effects(bench: Bench) -> list[Candidate]:
     return resized
 
 
-def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[HiddenChange]:
+def blind_spots(fit: SimulatedFit, nuisances: Sequence[Direction] = ()) -> list[HiddenChange]:
     """Changes in the last recording that would pass, in decreasing order of their shift of the
     change of δ.
 
-    Laws and drift ``among`` the marginalised directions are left out.
+    Marginalised laws and drift are left out.
 
     With J the Jacobian of the fit, C = (JᵀJ + P)⁻¹ and j the derivative by the change, an
     unmodelled change of size η moves the unknowns by C Jᵀj η. If it were free, its standard
@@ -487,7 +487,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
     threshold += normal_isf(MISSED)
     derivatives, noise = fit.derivatives(), noise_along(fit)
     # A change by people has only a small probability.
-    marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
+    marginalised = {d.slot for d in nuisances if d.usual > 0.0 or d.drift > 0.0}
     spots = []
     for candidate in _candidates(fit, [1.0]):
         if candidate.recording != last or len(candidate.amplitudes) != 1:

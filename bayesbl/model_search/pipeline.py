@@ -90,7 +90,7 @@ def direct_unknowns(
 
 
 def friction_drift(
-    unknowns: Sequence[Unknown], among: Sequence[Direction], later: Sequence[str]
+    unknowns: Sequence[Unknown], nuisances: Sequence[Direction], later: Sequence[str]
 ) -> list[Unknown]:
     """Drift of unknown friction in later recordings, in proportion to the friction.
 
@@ -109,20 +109,20 @@ def friction_drift(
             reference=sizes[d.slot],
         )
         for name in later
-        for d in among
+        for d in nuisances
         if d.slot in sizes and d.drift > 0.0
     ]
 
 
 def rival_loops(
-    linear_fit: LinearisedFit, among: Sequence[Direction], probability: float
+    linear_fit: LinearisedFit, nuisances: Sequence[Direction], probability: float
 ) -> list[tuple[FittedSet, float]]:
     """Other loops that explain the recordings as well, each with its share of ``probability``."""
     fits = [linear_fit.fit, *other_loops(linear_fit)]
     if len(fits) == 1:
         return []
     common = min(sum(1 for _ in common_unknowns(fits[0].model, f.model)) for f in fits[1:])
-    sets = [weighed(Explanation((), fit), among) for fit in fits]
+    sets = [weighed(Explanation((), fit), nuisances) for fit in fits]
     evidence = np.array(
         [
             entry.log_evidence
@@ -144,13 +144,13 @@ class AveragedFit:
         The fit, with the terms linearised at it.
     others
         Other sets of what the bench may lack, each with its probability.
-    among
+    nuisances
         Directions to marginalise in each of these sets, if the search did not do so.
     """
 
     linear_fit: LinearisedFit | FittedSet
     others: Sequence[tuple[FittedSet, float]] = ()
-    among: Sequence[Direction] = ()
+    nuisances: Sequence[Direction] = ()
 
     def sampled(
         self,
@@ -171,7 +171,7 @@ class AveragedFit:
         """Add to the draws the scatter of impacts, laws, drift, and all that the bench may lack."""
         scatter_seed, drift_seed, average_seed = seed.spawn(3)
         full = marginalised(widened(posterior, scatter_seed), self.linear_fit.posterior, drift_seed)
-        return averaged(full, self.others, average_seed, self.among) if self.others else full
+        return averaged(full, self.others, average_seed, self.nuisances) if self.others else full
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,38 +206,38 @@ def fit_jointly(
     """
     recordings = [marginalising_motor_lines(observation, bench) for observation in recordings]
     bench = with_friction(bench, recordings)
-    among = directions(bench, drift)
+    nuisances = directions(bench, drift)
     moving = [r.name for r in recordings if r.motion is not None]
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, moving)
     with_current = [r.name for r in recordings[1:] if len(r.signals) > 1]
-    unknowns += friction_drift(unknowns, among, with_current)
+    unknowns += friction_drift(unknowns, nuisances, with_current)
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     nominal = valid_variant(fit_aligned(bench, recordings, unknowns, workers, aligning))
     allowing = of_stage(progress, f"Allowing for what the bench lacks in {name}")
-    linear_fit = with_far_terms_freed(nominal, among, allowing)
+    linear_fit = with_far_terms_freed(nominal, nuisances, allowing)
     if linear_fit.explains:
-        sets = () if moving else elastic_parts(linear_fit.fit, among)
+        sets = () if moving else elastic_parts(linear_fit.fit, nuisances)
         for best, probability in sets[:1]:
             if best.explanation.candidates:
                 part = with_part(nominal, best.explanation, probability)
-                extended = [*among, *part.directions]
+                extended = [*nuisances, *part.directions]
                 part_fit = with_far_terms_freed(part.fit, extended, allowing)
                 if part_fit.explains:
                     joint = changes_at_fit(part_fit.fit, extended, part.added)
                     return JointFit(linear_fit=part_fit, others=sets[1:], joint=joint)
         others = [(entry, p) for entry, p in sets if entry.explanation.candidates]
-        others += rival_loops(linear_fit, among, 1.0 - sum(p for _, p in others))
+        others += rival_loops(linear_fit, nuisances, 1.0 - sum(p for _, p in others))
         return JointFit(
-            linear_fit=linear_fit, others=others, joint=changes_at_fit(linear_fit.fit, among)
+            linear_fit=linear_fit, others=others, joint=changes_at_fit(linear_fit.fit, nuisances)
         )
     seeking = of_stage(progress, f"Seeking changes in {name}")
-    naming, joint = find_changes(linear_fit.fit, among=among, progress=seeking)
-    linear_fit = naming.linear_fit or linearised_fit(naming.final.fit, among)
+    naming, joint = find_changes(linear_fit.fit, nuisances=nuisances, progress=seeking)
+    linear_fit = naming.linear_fit or linearised_fit(naming.final.fit, nuisances)
     if not linear_fit.has_discrepancy:
         # Lags in place of what is now named may no longer be needed.
         unlagged, count = (
-            with_far_terms_freed(linear_fit.fit, among, allowing),
+            with_far_terms_freed(linear_fit.fit, nuisances, allowing),
             len(linear_fit.fit.model.unknowns),
         )
         if all(u.recording is None for u in unlagged.fit.model.unknowns[count:]):

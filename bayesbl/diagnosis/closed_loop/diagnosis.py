@@ -118,8 +118,8 @@ class Findings:
         """The fit of what is named, with misfit, noise in the loop, laws that nothing shows, and
         all other sets; no other of a learned torque."""
         others = () if self.learned else self.naming.others
-        among = laws(self.final.fit.model.bench)
-        return AveragedFit(linear_fit=self.chosen, others=others, among=among)
+        nuisances = laws(self.final.fit.model.bench)
+        return AveragedFit(linear_fit=self.chosen, others=others, nuisances=nuisances)
 
 
 def search(
