@@ -46,7 +46,7 @@ class Impacts:
 
     Attributes
     ----------
-    place
+    index
         Index of the recording.
     derivatives
         Jacobian J of its whitened signals, shape (n, d).
@@ -54,15 +54,15 @@ class Impacts:
         Scatter of its gap scores.
     factors
         Equally likely values of v, shape (k,).
-    late
+    timing_variance
         Mean square timing deviation of its impacts for each factor, rad², shape (k,).
     """
 
-    place: int
+    index: int
     derivatives: FloatArray
     scatter: Scatter
     factors: FloatArray
-    late: FloatArray
+    timing_variance: FloatArray
 
 
 def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
@@ -103,15 +103,15 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
             *scores(gap_direction), None if loop is None else loop.factors(gap_direction)
         )
         factors = scatter.likely(FACTORS)
-        late = np.zeros(FACTORS)
+        timing_variance = np.zeros(FACTORS)
         angle = model.place_of(START_ANGLE, observation.name)
         if angle is not None and observation.motion is None and scatter.freedom > 0.0:
             fast = _fast(slopes[..., angle], len(observation.signals))
             power = np.median(np.sum((fast[:, None] * halves) ** 2, axis=2))
             if power > 0.0:
-                late = early_and_late(*scores(fast / power), factors)
+                timing_variance = early_and_late(*scores(fast / power), factors)
         jacobian = np.stack([row[index].ravel() for row in rows[1:]], axis=1)
-        impacts.append(Impacts(index, jacobian, scatter, factors, late))
+        impacts.append(Impacts(index, jacobian, scatter, factors, timing_variance))
     return impacts
 
 
@@ -138,14 +138,14 @@ def scattered(
         gram = slopes.T @ slopes
         precision = precision + gram
         by_noise += share[:, None, None] * gram
-        pull -= np.outer(1.0 - share, slopes.T @ residuals[impacts.place].ravel())
+        pull -= np.outer(1.0 - share, slopes.T @ residuals[impacts.index].ravel())
     wide = np.linalg.inv(by_noise)
     values, vectors = np.linalg.eigh(wide - np.linalg.inv(precision))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
     moves = np.einsum("mij,mj->mi", root, rng.standard_normal(draws.shape))
     widened = draws + unit * (moves + np.einsum("mij,mj->mi", wide, pull))
     for impacts, case in zip(by_recording, cases, strict=True):
-        widened -= impacts.late[case, None] * smeared(fit, impacts)
+        widened -= impacts.timing_variance[case, None] * smeared(fit, impacts)
     return np.asarray(widened)
 
 
@@ -155,20 +155,20 @@ def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
     Two simulations are shifted to either side by the root mean square. Their mean minus the
     unshifted simulation is what smeared ringing lacks. Zero if one of them cannot be simulated.
     """
-    model, square = fit.model, float(impacts.late.mean())
-    angle = model.place_of(START_ANGLE, model.recordings[impacts.place].name)
+    model, square = fit.model, float(impacts.timing_variance.mean())
+    angle = model.place_of(START_ANGLE, model.recordings[impacts.index].name)
     if square == 0.0 or angle is None:
         return np.zeros(fit.point.size)
     shifted = np.repeat(fit.point[None], 2, axis=0)
     shifted[:, angle] += np.array([-1.0, 1.0]) * math.sqrt(square)
-    residual = model.by_recording(fit.residual)[impacts.place].ravel()
-    lacks = residual - model.whitened_of(shifted, impacts.place).mean(axis=0)
+    residual = model.by_recording(fit.residual)[impacts.index].ravel()
+    lacks = residual - model.whitened_of(shifted, impacts.index).mean(axis=0)
     shift = fit.covariance @ (impacts.derivatives.T @ lacks) / square
     return np.nan_to_num(shift) if np.all(np.isfinite(shift)) else np.zeros(shift.size)
 
 
 def _fast(slopes: FloatArray, channels: int) -> FloatArray:
-    """Part of the mean of rotations, (r, c lag), above load order ``IMPACTS_ABOVE``."""
+    """Part of rotations, (r, c lag), above load order ``IMPACTS_ABOVE``."""
     spectrum = np.fft.rfft(slopes.reshape(len(slopes), channels, -1))
     spectrum[..., : IMPACTS_ABOVE + 1] = 0.0
     return np.fft.irfft(spectrum, slopes.shape[1] // channels).reshape(slopes.shape)

@@ -69,13 +69,13 @@ class LoopNoise:
     ----------
     shares
         Equally likely values of the share of its noise that is fed back, shape (k,).
-    around, linear
+    fed_back, linear
         Whitened rotations, as by :func:`turns_of`, with all noise fed back, and their linear
         approximation, shape (R, c lag).
     """
 
     shares: FloatArray
-    around: FloatArray
+    fed_back: FloatArray
     linear: FloatArray
 
     def factors(self, direction: FloatArray) -> FloatArray:
@@ -88,8 +88,10 @@ class LoopNoise:
         power = float(np.sum(direction**2))
         if power == 0.0:
             return np.ones(1)
-        beyond = np.sum((self.around @ direction.T) ** 2) - np.sum((self.linear @ direction.T) ** 2)
-        excess = float(beyond) / (len(self.around) * power)
+        excess_power = np.sum((self.fed_back @ direction.T) ** 2) - np.sum(
+            (self.linear @ direction.T) ** 2
+        )
+        excess = float(excess_power) / (len(self.fed_back) * power)
         return 1.0 + self.shares * max(excess, 0.0)
 
     def degrees_of_freedom(self, parts: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -99,10 +101,13 @@ class LoopNoise:
 
         ``parts``: from rotations (R, c lag) to (R, d).
         """
-        around, independent = parts(self.around), parts(np.roll(self.linear, 1, axis=0))
+        fed_back, independent = parts(self.fed_back), parts(np.roll(self.linear, 1, axis=0))
         mixes = np.sqrt(self.shares), np.sqrt(1.0 - self.shares)
         return np.array(
-            [degrees_of_freedom(a * around + b * independent) for a, b in zip(*mixes, strict=True)]
+            [
+                degrees_of_freedom(a * fed_back + b * independent)
+                for a, b in zip(*mixes, strict=True)
+            ]
         )
 
     def chance(

@@ -747,8 +747,8 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
     for index, observation in enumerate(model.recordings):
         loop = loop_noise(fit, index)
         if loop is not None:
-            rows = (loop.around - loop.linear).reshape(
-                len(loop.around), len(observation.signals), -1
+            rows = (loop.fed_back - loop.linear).reshape(
+                len(loop.fed_back), len(observation.signals), -1
             )
             scale = math.sqrt(float(loop.shares.mean()) / len(rows))
             simulated.append((index, scale * rows))

@@ -285,8 +285,10 @@ def orthant(
 
 
 def _factor(gram: FloatArray) -> tuple[FloatArray, float]:
-    """A⁻¹ and ln |A| of a positive semidefinite Gram matrix in any units; directions without data
-    give 0."""
+    """A⁻¹ and ln |A| of a positive semidefinite Gram matrix in any units.
+
+    Directions without data give 0.
+    """
     root, log_det = _inverse_root(gram)
     return np.asarray(root @ root.T), log_det
 
@@ -301,7 +303,7 @@ def _inverse_root(gram: FloatArray) -> tuple[FloatArray, float]:
     return np.asarray(root), log_det
 
 
-def _root(matrix: np.ndarray) -> FloatArray:
+def _cholesky(matrix: np.ndarray) -> FloatArray:
     """Cholesky factor of a positive definite matrix, robust to rounding where noise is tiny."""
     try:
         return np.asarray(np.linalg.cholesky(matrix))
@@ -376,21 +378,21 @@ class _Grams:
         ends = np.cumsum([0, *self.widths])
         column_ranges = [np.arange(a, b) for a, b in itertools.pairwise(ends)]
         nothing = np.zeros(0, dtype=int)
-        self.place = np.concatenate([nothing, *(column_ranges[i] for i in remaining)])
-        self.place_free = np.concatenate([nothing, *(column_ranges[i] for i in self.free)])
-        self.d, self.k = view.jacobian.shape[1], self.place.size
+        self.columns_remaining = np.concatenate([nothing, *(column_ranges[i] for i in remaining)])
+        self.columns_free = np.concatenate([nothing, *(column_ranges[i] for i in self.free)])
+        self.d, self.k = view.jacobian.shape[1], self.columns_remaining.size
         self.m = view.discrepancy.shape[1]
         self.scale_of_column = self._discrepancy_scale()
         nuisance = [view.jacobian, *(terms[i].columns for i in self.free)]
         h = view.discrepancy * self.scale_of_column
         columns = [terms[i].columns for i in remaining]
         everything = np.hstack([*nuisance, *columns, h, view.residual[:, None]])
-        self.prior = np.eye(self.d + self.place_free.size)
+        self.prior = np.eye(self.d + self.columns_free.size)
         self.prior[: self.d, : self.d] = view.prior_precision
         self.pull = np.zeros(len(self.prior))
         self.pull[: self.d] = view.prior_pull
         self.parts = [everything[b.rows].T @ everything[b.rows] for b in view.bands]
-        self.rest_part = everything.T @ everything - sum(self.parts, np.zeros(()))
+        self.outside_bands = everything.T @ everything - sum(self.parts, np.zeros(()))
         self._bases: dict[tuple[int, ...], _Base] = {}
         samples = view.residual.size
         lowest = 1.0 / math.sqrt(max(1, samples))
@@ -428,7 +430,7 @@ class _Grams:
         bands."""
         indices = level[len(self.view.groups) :]
         if indices not in self._bases:
-            total = self.rest_part.copy()
+            total = self.outside_bands.copy()
             log_volume = 0.0
             for index, band, part in zip(indices, self.view.bands, self.parts, strict=True):
                 variance = 1.0 + float(self.lattice[index]) ** 2
@@ -448,11 +450,11 @@ class _Grams:
     def _exclusions(self) -> np.ndarray:
         """Matrix of the pairs of terms that cannot be in one set."""
         terms = self.view.terms
-        apart = np.zeros((len(terms), len(terms)), dtype=bool)
+        excluded = np.zeros((len(terms), len(terms)), dtype=bool)
         labels = np.array([t.hypothesis for t in terms])
         for i, term in enumerate(terms):
-            apart[i] = (labels == term.hypothesis) | np.isin(labels, list(term.excludes))
-        return apart | apart.T
+            excluded[i] = (labels == term.hypothesis) | np.isin(labels, list(term.excludes))
+        return excluded | excluded.T
 
     def precision_of_h(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         """Indices of the present columns of h, and their prior precision."""
@@ -480,7 +482,7 @@ class _Grams:
                 scaled_gram = base.gram[np.ix_(indices, indices)] / np.outer(root, root) + np.eye(
                     present.size
                 )
-                lower = _root(scaled_gram)
+                lower = _cholesky(scaled_gram)
                 cross = np.linalg.solve(
                     lower, base.gram[np.ix_(indices, np.arange(k))] / root[:, None]
                 )
@@ -841,7 +843,7 @@ class ModelPosterior:
         # Each model has its own random stream, so models without draws change nothing.
         ends = np.floor(n * np.cumsum(weights) / weights.sum() + 0.5).astype(int)
         counts = np.diff(ends, prepend=0)
-        width = grams.place.size + grams.place_free.size
+        width = grams.columns_remaining.size + grams.columns_free.size
         sizes, h, shift = (np.zeros((n, size)) for size in (width, grams.m, grams.d))
         start, unshifted = 0, grams.inverse_u @ grams.pull_u
         for model, count in zip(self.models, counts, strict=True):
@@ -860,14 +862,14 @@ class ModelPosterior:
                 count,
                 model_generator,
             )
-            sizes[rows, grams.place[columns]] = a
+            sizes[rows, grams.columns_remaining[columns]] = a
             present, prior = grams.precision_of_h(model._level)
             both = np.concatenate([columns, present + grams.k])
             if present.size:
                 indices = present + grams.k
                 gram = base.gram[np.ix_(indices, indices)] + np.diag(prior)
                 right = base.right[indices] - a @ base.gram[np.ix_(columns, indices)]
-                lower = _root(gram)
+                lower = _cholesky(gram)
                 centre = np.linalg.solve(gram, right.T).T
                 noise = model_generator.standard_normal((count, present.size))
                 h[rows, present] = centre + np.linalg.solve(lower.T, noise.T).T
@@ -875,18 +877,18 @@ class ModelPosterior:
                 values = np.concatenate([a, h[rows, present]], axis=1)
                 centre = (base.nuisance_pull - values @ base.cross[:, both].T) @ base.inverse
                 block = base.inverse[grams.d :, grams.d :]
-                root = _root(block)
+                root = _cholesky(block)
                 noise = model_generator.standard_normal((count, block.shape[0]))
-                sizes[rows, grams.place_free] = centre[:, grams.d :] + noise @ root.T
+                sizes[rows, grams.columns_free] = centre[:, grams.d :] + noise @ root.T
             inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
             # Rows with misfit leave u less certain than the draws of u alone have it.
             values, vectors = np.linalg.eigh(inverse_u - grams.inverse_u)
             extra = model_generator.standard_normal((count, grams.d)) * np.sqrt(
                 np.maximum(values, 0.0)
             )
-            signal = sizes[rows][:, grams.place] @ base.cross[: grams.d, : grams.k].T
+            signal = sizes[rows][:, grams.columns_remaining] @ base.cross[: grams.d, : grams.k].T
             signal += h[rows] @ base.cross[: grams.d, grams.k :].T
-            signal += sizes[rows][:, grams.place_free] @ base.nuisance_gram[grams.d :, : grams.d]
+            signal += sizes[rows][:, grams.columns_free] @ base.nuisance_gram[grams.d :, : grams.d]
             centre = (base.nuisance_pull[: grams.d] - signal) @ inverse_u
             shift[rows] = centre + extra @ vectors.T - unshifted
         order = generator.permutation(n)
@@ -986,6 +988,6 @@ def _truncated(
         if bounded.size:
             gain = np.linalg.solve(sub, covariance[np.ix_(bounded, free)])
             centre = centre + (result[:, bounded] - mean[bounded]) @ gain
-        root = _root(np.linalg.inv(precision[np.ix_(free, free)]))
+        root = _cholesky(np.linalg.inv(precision[np.ix_(free, free)]))
         result[:, free] = centre + generator.standard_normal((n, free.size)) @ root.T
     return result

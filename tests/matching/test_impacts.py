@@ -179,4 +179,4 @@ def test_smeared_ringing_makes_the_gap_smaller_as_was_simulated(late_s: float) -
 def taken(fit: SimulatedFit) -> float:
     """By what smeared ringing moves ln δ, in the mean."""
     (impacts,) = by_impact(fit, fit.covariance)
-    return float(impacts.late.mean() * smeared(fit, impacts)[fit.model.index(GAP)])
+    return float(impacts.timing_variance.mean() * smeared(fit, impacts)[fit.model.index(GAP)])

@@ -69,7 +69,7 @@ def test_a_joint_of_another_simulator_that_shows_no_noise_is_measured(
     assert fit.sd(GAP) < 2e-3
     assert agrees(disagreements(fit))
     (impacts,) = by_impact(fit, fit.covariance)
-    moved = impacts.late.mean() * smeared(fit, impacts)[fit.model.index(GAP)]
+    moved = impacts.timing_variance.mean() * smeared(fit, impacts)[fit.model.index(GAP)]
     assert abs(moved) < 0.1 * fit.sd(GAP)
 
 
