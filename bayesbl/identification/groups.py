@@ -321,11 +321,11 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSumm
     return [
         {
             "parameters": [names[i] for i in group],
-            "told": how,
+            "told": kind,
             "alone_sd": float(alone[list(group)].max()),
             "together_sd": together,
         }
-        for group, how, together in confounded
+        for group, kind, together in confounded
     ]
 
 
@@ -347,8 +347,8 @@ def reason_of(result: Identification) -> str | None:
         return " ".join(flaws_in_words(result.posterior.diagnostics.reasons))
     # The bench is the answer: a value that its data sheet excludes is no answer, even if δ is fine.
     if contradicted := flaws_in_words(result.posterior.contradicted):
-        mend = "Correct the data sheet, or widen this tolerance, and identify again."
-        return " ".join([*contradicted, mend])
+        advice = "Correct the data sheet, or widen this tolerance, and identify again."
+        return " ".join([*contradicted, advice])
     return None
 
 

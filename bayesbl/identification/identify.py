@@ -288,8 +288,8 @@ def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]
     requested = candidates(problem.bench, problem.used, problem.effects, peaks)
     for candidate in (c for c in requested if c.kind == "effect"):
         starts = [candidate.neutral + np.nan_to_num(candidate.usual), *candidate.starts]
-        unmoved = np.zeros(best.fit.point.size)
-        trials = [refit(best, [(candidate, start)], unmoved) for start in starts]
+        no_shift = np.zeros(best.fit.point.size)
+        trials = [refit(best, [(candidate, start)], no_shift) for start in starts]
         if not is_explained(best.fit):
             trials += from_afar(best, [candidate])
         fits = [e for e in trials if e is not None]
@@ -474,7 +474,7 @@ def _is_plausible_at(model: SimulatedSignals, point: FloatArray) -> bool:
     In time means within a rotation, or a motion's recording: otherwise rotations would not repeat.
     """
     row = model.vectors(point[None], model.recordings[0])[0]
-    lasting_s = max(
+    duration_s = max(
         observation.samples / observation.sampling_hz
         if observation.motion is not None
         else observation.rotation_period_s
@@ -484,7 +484,7 @@ def _is_plausible_at(model: SimulatedSignals, point: FloatArray) -> bool:
     if row[Slot.gravity_torque_nm] > row[Slot.gear_ratio] * torque_nm:
         return False
     slowest_per_s = -float(np.max(contact_rates(row[None]).real))
-    return slowest_per_s * lasting_s > 1.0 and _fastest_per_s(row) < FASTEST_PER_S
+    return slowest_per_s * duration_s > 1.0 and _fastest_per_s(row) < FASTEST_PER_S
 
 
 def _fastest_per_s(row: FloatArray) -> float:
@@ -492,6 +492,6 @@ def _fastest_per_s(row: FloatArray) -> float:
     motor, ratio = row[Slot.motor_inertia_kg_m2], row[Slot.gear_ratio]
     shaft = 1.0 / row[Slot.load_inertia_kg_m2] + 1.0 / (ratio**2 * motor)
     loop = row[Slot.speed_gain_nm_s_per_rad] / motor
-    damped = row[Slot.shaft_damping_nm_s_per_rad] * shaft
-    swinging = math.sqrt(row[Slot.shaft_stiffness_nm_per_rad] * shaft)
-    return float(max(loop, damped, swinging))
+    damping = row[Slot.shaft_damping_nm_s_per_rad] * shaft
+    ringing = math.sqrt(row[Slot.shaft_stiffness_nm_per_rad] * shaft)
+    return float(max(loop, damping, ringing))

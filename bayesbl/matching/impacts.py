@@ -139,11 +139,11 @@ def scattered(
         precision = precision + gram
         by_noise += share[:, None, None] * gram
         pull -= np.outer(1.0 - share, slopes.T @ residuals[impacts.index].ravel())
-    wide = np.linalg.inv(by_noise)
-    values, vectors = np.linalg.eigh(wide - np.linalg.inv(precision))
+    wide_covariance = np.linalg.inv(by_noise)
+    values, vectors = np.linalg.eigh(wide_covariance - np.linalg.inv(precision))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
     moves = np.einsum("mij,mj->mi", root, rng.standard_normal(draws.shape))
-    widened = draws + unit * (moves + np.einsum("mij,mj->mi", wide, pull))
+    widened = draws + unit * (moves + np.einsum("mij,mj->mi", wide_covariance, pull))
     for impacts, case in zip(by_recording, cases, strict=True):
         widened -= impacts.timing_variance[case, None] * smeared(fit, impacts)
     return np.asarray(widened)
@@ -162,8 +162,8 @@ def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
     shifted = np.repeat(fit.point[None], 2, axis=0)
     shifted[:, angle] += np.array([-1.0, 1.0]) * math.sqrt(square)
     residual = model.by_recording(fit.residual)[impacts.index].ravel()
-    lacks = residual - model.whitened_of(shifted, impacts.index).mean(axis=0)
-    shift = fit.covariance @ (impacts.derivatives.T @ lacks) / square
+    missing = residual - model.whitened_of(shifted, impacts.index).mean(axis=0)
+    shift = fit.covariance @ (impacts.derivatives.T @ missing) / square
     return np.nan_to_num(shift) if np.all(np.isfinite(shift)) else np.zeros(shift.size)
 
 

@@ -193,45 +193,47 @@ def fit_simulated(
         least, share = ROUGHLY_CONVERGED, ROUGHLY_CONVERGED_SHARE
     one_sided = one_sided or rough
     jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided, known=known)
-    holds, value_there, rounds = known is not None, value, 1
+    is_reused, value_at_jacobian, rounds = known is not None, value, 1
     while True:
         gradient = jacobian.T @ residual + prior_pull(model, point)
         curvature = jacobian.T @ jacobian
-        shape = curvature + normal
+        hessian = curvature + normal
         gained, promised = 0.0, math.inf
         while damping < 1e8:
-            move = _bounded_step(point, gradient, shape, damping, model.low, model.high)
+            move = _bounded_step(point, gradient, hessian, damping, model.low, model.high)
             trial = point + move
             trial_residual = model.whitened(trial)[0]
             trial_value = _objective(model, trial, trial_residual)
             if trial_value < value:
-                gained, promised = value - trial_value, _promised(gradient, shape, move)
+                gained, promised = value - trial_value, _promised(gradient, hessian, move)
                 point, residual, value = trial, trial_residual, trial_value
                 damping = max(damping / 10.0, 1e-9)
                 break
-            if holds or np.all(np.abs(move) < 1e-3 / np.sqrt(np.diag(shape).clip(1e-300))):
+            if is_reused or np.all(np.abs(move) < 1e-3 / np.sqrt(np.diag(hessian).clip(1e-300))):
                 break
             damping *= 10.0
-        was_new, holds = not holds, gained > KEPT_PROMISE * promised
-        enough = max(least, share * (value - residual.size))
+        was_new, is_reused = not is_reused, gained > KEPT_PROMISE * promised
+        least_gain = max(least, share * (value - residual.size))
         if was_new and value - goal > gained * (MOST_ROUNDS - rounds):
             break
-        ended = gained < enough and (was_new or holds)
+        ended = gained < least_gain and (was_new or is_reused)
         if ended and known is not None:
             # A Jacobian from elsewhere may miss a way on.
-            holds = False
+            is_reused = False
         elif ended:
             break
-        if not holds:
+        if not is_reused:
             if rounds >= MOST_ROUNDS:
                 break
             jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
-            value_there, rounds, known = value, rounds + 1, None
-    if not rough and value_there - value > NEAR:
+            value_at_jacobian, rounds, known = value, rounds + 1, None
+    if not rough and value_at_jacobian - value > NEAR:
         jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
-        curvature, value_there = jacobian.T @ jacobian, value
+        curvature, value_at_jacobian = jacobian.T @ jacobian, value
     # A comparison may use a nearby Jacobian; an answer needs that of the optimum.
-    final_jacobian = jacobian if value_there - value <= (NEAR if one_sided else CONVERGED) else None
+    final_jacobian = (
+        jacobian if value_at_jacobian - value <= (NEAR if one_sided else CONVERGED) else None
+    )
     return _fit(model, point, residual, curvature, steps, final_jacobian)
 
 

@@ -184,24 +184,24 @@ def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
     loop = _loop_responses(vector[0], observation)
     in_speed, in_current = (np.interp(frequency, *row) for row in loop)
     # Where the loop suppresses noise, little is visible, and that may have other causes.
-    passed = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
-    if not passed.size:
+    usable = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
+    if not usable.size:
         return None
     shares = UNKNOWN_SHARES
     if len(observation.signals) > 1:
-        gain, power = in_current[passed] / in_speed[passed], speed_power[passed]
+        gain, power = in_current[usable] / in_speed[usable], speed_power[usable]
         weight = float(np.sum(power * np.abs(gain) ** 2))
-        share = float(np.sum(np.real(cross_power[passed] * gain.conj()))) / weight
-        unexplained_power = np.abs(cross_power[passed] - share * gain * power)
+        share = float(np.sum(np.real(cross_power[usable] * gain.conj()))) / weight
+        unexplained_power = np.abs(cross_power[usable] - share * gain * power)
         sd = math.sqrt(0.5 * float(np.sum((unexplained_power * np.abs(gain)) ** 2))) / weight
         if share < LEAST_SHARE:
             return None
         shares = np.clip(share + sd * QUANTILES, 0.0, 1.0)
-    sensor_power = speed_power[passed] / np.abs(in_speed[passed]) ** 2
-    lowest = frequency[passed] <= 2.0 * frequency[passed[0]]
+    sensor_power = speed_power[usable] / np.abs(in_speed[usable]) ** 2
+    lowest = frequency[usable] <= 2.0 * frequency[usable[0]]
     level = float(sensor_power[lowest].mean())
     frequencies = np.fft.rfftfreq(observation.samples)
-    sensor = np.sqrt(np.interp(frequencies, frequency[passed], sensor_power, left=level))
+    sensor = np.sqrt(np.interp(frequencies, frequency[usable], sensor_power, left=level))
     linear = np.stack([np.interp(frequencies, *row) for row in loop])[: len(observation.signals)]
     rotations = _rotations(
         fit, recording, "noise in the loop", _noise(fit, recording, sensor, linear)

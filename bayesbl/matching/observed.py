@@ -329,15 +329,18 @@ def _as_it_repeats(
 
     def repeats_after(reference_rpm: float) -> Repetition | None:
         stated_s = bench.rotation_period_s(reference_rpm)
-        inexact = _rounding(recording.motor_speed_rpm[None], bench, reference_rpm)[0]
-        return repetition(recording.motor_speed_rpm, 1.0 / period_s, stated_s, inexact.sd)
+        rounding = _rounding(recording.motor_speed_rpm[None], bench, reference_rpm)[0]
+        return repetition(recording.motor_speed_rpm, 1.0 / period_s, stated_s, rounding.sd)
 
     repeating = repeats_after(stated_rpm)
     if repeating is None:
         return stated_rpm, period_s, ()
     reference, notes = stated_rpm, []
-    off = abs(repeating.mean_rpm - abs(stated_rpm))
-    if off > SURELY_OTHER * repeating.mean_sd_rpm and bench.value("integral_gain_nm_per_rad") > 0.0:
+    speed_error = abs(repeating.mean_rpm - abs(stated_rpm))
+    if (
+        speed_error > SURELY_OTHER * repeating.mean_sd_rpm
+        and bench.value("integral_gain_nm_per_rad") > 0.0
+    ):
         reference = math.copysign(repeating.mean_rpm, stated_rpm)
         notes.append(
             f"Its mean speed over whole rotations, {reference:.6g} rpm, is taken for its "
@@ -345,8 +348,8 @@ def _as_it_repeats(
         )
         repeating = repeats_after(reference) or repeating
     if repeating.gain > SURELY_OTHER**2:
-        late = repeating.period_s / bench.rotation_period_s(reference) - 1.0
-        if abs(late) > LARGEST_CLOCK_ERROR:
+        clock_error = repeating.period_s / bench.rotation_period_s(reference) - 1.0
+        if abs(clock_error) > LARGEST_CLOCK_ERROR:
             # The error is the bench's, not the recording's: everything else based on this bench is
             # wrong too.
             raise ConfigError(
@@ -358,11 +361,11 @@ def _as_it_repeats(
                 expected=f"{ratio:g}, the bench's gear ratio: correct it in the bench file, or "
                 "record again if a machine shakes the joint",
             )
-        period_s /= 1.0 + late
-        side = "later" if late > 0.0 else "earlier"
+        period_s /= 1.0 + clock_error
+        side = "later" if clock_error > 0.0 else "earlier"
         notes.append(
-            f"Its impacts come {100.0 * abs(late):.2g} % {side} than speed and gear ratio say. "
-            "Its clock is taken to be off by that."
+            f"Its impacts come {100.0 * abs(clock_error):.2g} % {side} than speed and gear ratio "
+            "say. Its clock is taken to be off by that."
         )
     return reference, period_s, tuple(notes)
 
@@ -416,7 +419,7 @@ def _require_current_sign(
     """
     if MOTOR_CURRENT not in recording.channels:
         return
-    proportional, integral, outer = (
+    proportional, integral, position_gain = (
         bench.value(name)
         for name in (
             "speed_gain_nm_s_per_rad",
@@ -433,7 +436,9 @@ def _require_current_sign(
         for row in (error, recording.channels[MOTOR_CURRENT], reference)
     )
     rate = 2.0 * math.pi * np.fft.rfftfreq(taper.size, recording.sampling_period_s)
-    corner = max(2.0 * integral / proportional, 3.0 * math.sqrt(outer * integral / proportional))
+    corner = max(
+        2.0 * integral / proportional, 3.0 * math.sqrt(position_gain * integral / proportional)
+    )
     motor = bench.value("motor_inertia_kg_m2") * bench.value("gear_ratio") ** 2
     inverse_inertia = 1.0 / motor + 1.0 / bench.value("load_inertia_kg_m2")
     ringing = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") * inverse_inertia)
@@ -475,8 +480,10 @@ def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[
     current."""
     gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
     least = LEAST_NOISE * abs(reference_rpm)
-    exact = least, least / RPM_PER_RAD_PER_S * gain
-    return tuple(Rounding(speed_steps(row), sd) for row, sd in zip(signals, exact, strict=False))
+    accuracies = least, least / RPM_PER_RAD_PER_S * gain
+    return tuple(
+        Rounding(speed_steps(row), sd) for row, sd in zip(signals, accuracies, strict=False)
+    )
 
 
 def marginalising_motor_lines(observation: Observed, bench: Bench) -> Observed:
@@ -544,8 +551,8 @@ def _recovery(observation: Observed, bench: Bench) -> int:
     """Samples after which the bench has forgotten its past, to a tenth of the noise."""
     fastest = bench.vector(reference_speed_rpm=observation.reference_speed_rpm)
     # Second differences hardly contain the motion; correlated noise counts as a little less.
-    bends = np.abs(np.diff(observation.signals[0], 2))
-    noise = float(np.median(bends)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
+    second_differences = np.abs(np.diff(observation.signals[0], 2))
+    noise = float(np.median(second_differences)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
     accuracy_rpm = max(noise, LEAST_NOISE * abs(observation.reference_speed_rpm))
     settled = float(settling_time_s(fastest, accuracy_rpm)[0])
     return math.ceil(settled * observation.sampling_hz)

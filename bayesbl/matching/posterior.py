@@ -53,8 +53,8 @@ GOOD_SHARE = 0.4
 FEWEST_EFFECTIVE = 100.0
 """Below it the answer is withheld: at 100 draws, the actual level of a 90 % interval is 90 ± 3 %.
 
-The share of the posterior between two quantiles of n draws has the standard deviation √(p (1 −
-p)/n), with p its level.
+The share of the posterior between two quantiles of n draws has the standard deviation √(p(1−p)/n),
+with p its level.
 """
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
@@ -134,7 +134,7 @@ class DirectPosterior:
     noise_only: NoiseOnly | None = None
 
     def beyond_tolerance(self, recording: str, level: float) -> dict[str, Any] | None:
-        """The bench parameter whose tolerance decides a recording's gap, with the shift of δ; or
+        """The bench parameter whose tolerance decides a recording's gap, with the shift of δ, or
         ``None``.
 
         If the recordings contradict a tolerance or range, the true value may lie beyond. The
@@ -180,12 +180,12 @@ class DirectPosterior:
             return []
         draws = self._flat[:, indices]
         stated = np.linalg.inv(model.normal_prior.precision[np.ix_(indices, indices)])
-        off = draws.mean(axis=0) - model.normal_prior.centre[indices]
+        deviations = draws.mean(axis=0) - model.normal_prior.centre[indices]
         root = np.linalg.inv(np.linalg.cholesky(stated))
         shares, axes = np.linalg.eigh(root @ np.cov(draws, rowvar=False) @ root.T)
         axes = root.T @ axes
         gain = (axes * np.maximum(1.0 / shares - 1.0, 0.0)) @ axes.T
-        pull = (gain + root.T @ root) @ off
+        pull = (gain + root.T @ root) @ deviations
 
         def chance(worst: int) -> float:
             """p-value of the others if one value is not stated, by the moments of the sum."""
@@ -202,7 +202,7 @@ class DirectPosterior:
 
         if max(map(chance, range(len(indices)))) > CONTRADICTED_BY_CHANCE:
             return []
-        order = np.argsort(-np.abs(off) / np.sqrt(np.diag(stated)))
+        order = np.argsort(-np.abs(deviations) / np.sqrt(np.diag(stated)))
         return [model.unknowns[indices[k]].name for k in order]
 
     def with_model(self, draws: FloatArray) -> DirectPosterior:
@@ -586,7 +586,7 @@ def _contradicted(
         if math.isfinite(unknown.sd):
             believed = unknown.sd**2
             low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
-            off, variance = (
+            deviation, variance = (
                 float(coordinates.mean()) - unknown.centre,
                 float(coordinates.var(ddof=1)),
             )
@@ -595,10 +595,12 @@ def _contradicted(
                 believed - variance, math.sqrt(2.0 / coordinates.size) * believed
             )
             beyond = not low < coordinates.mean() < high
-            if beyond and chi2_sf(off**2 / learned_variance, 1.0) < CONTRADICTED_BY_CHANCE / len(
-                precision
-            ):
-                sides["upper" if off > 0.0 else "lower"] = abs(off) * variance / learned_variance
+            if beyond and chi2_sf(
+                deviation**2 / learned_variance, 1.0
+            ) < CONTRADICTED_BY_CHANCE / len(precision):
+                sides["upper" if deviation > 0.0 else "lower"] = (
+                    abs(deviation) * variance / learned_variance
+                )
         else:
             info = PARAMETER_INFO.get(unknown.name)
             positive = low > 0.0 and not (info is not None and info.signed)

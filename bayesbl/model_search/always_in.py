@@ -275,10 +275,10 @@ def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """Directions of one linear term, in all snapshots (``recording`` is ``None``) or as a deviation
-    in one.
+    """Directions of one linear term, in all snapshots (``recording`` is ``None``) or in one.
 
-    ``cause``: of a change; empty for a law or drift, which has one direction.
+    In one, it is a deviation from the others. ``cause``: of a change; empty for a law or drift,
+    which has one direction.
     """
 
     directions: tuple[Direction, ...]
@@ -360,10 +360,10 @@ class Label:
             value = float(vector[Slot[direction.slot]])
             # A lag that is far from zero is at least what the simulator takes without tiny steps.
             is_bounded = direction.is_not_negative or direction.positive or value > 0.0
-            least = direction.least if is_bounded else -math.inf
+            lower = direction.least if is_bounded else -math.inf
             if self.recording is None:
                 high = simulated_range(direction.slot)[1]
-                unknowns.append(Unknown(direction.slot, least, high, centre=value, sd=scale))
+                unknowns.append(Unknown(direction.slot, lower, high, centre=value, sd=scale))
                 continue
             # The recordings alone decide the size of a change.
             sd = scale / CHANGED_SHARE if self.cause else scale
@@ -421,9 +421,9 @@ class LinearisedFit:
         """
         indices = {k for k in range(len(self.labels)) if self._is_far(k, self.by_label()[k])}
         shared = {k for k, label in enumerate(self.labels) if label.recording is None}
-        least = -math.inf
+        least_gain = -math.inf
         if not indices and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
-            indices, least = shared, FAR**2
+            indices, least_gain = shared, FAR**2
         if any(self.labels[k].is_lag for k in indices):
             indices |= {k for k in shared if self.labels[k].is_lag}
         linearised = self.posterior.linearised
@@ -436,7 +436,7 @@ class LinearisedFit:
             cross, pull = linearised.jacobian.T @ columns, columns.T @ linearised.residual
             precision = np.eye(pull.size) + columns.T @ columns - cross.T @ inverse @ cross
             sizes = np.asarray(np.linalg.solve(precision, pull), dtype=np.float64)
-            if self.labels[k].can_be_simulated(sizes) and float(pull @ sizes) > least:
+            if self.labels[k].can_be_simulated(sizes) and float(pull @ sizes) > least_gain:
                 gains.append((float(pull @ sizes), k, sizes))
         return [(self.labels[k], sizes) for _, k, sizes in sorted(gains, reverse=True)]
 
@@ -463,15 +463,15 @@ class LinearisedFit:
         compensates the delay of another.
         """
         sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), self.lag_s)}
-        least: dict[str, float] = {}
+        tolerances: dict[str, float] = {}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             if label.recording is None and label.directions[0].is_law:
                 kind = "lag" if label.is_lag else label.hypothesis
                 sizes[kind] = sizes.get(kind, 0.0) + drawn[:, 0] * label.scales[0]
-                least[kind] = FORM_SHARE * label.scales[0]
+                tolerances[kind] = FORM_SHARE * label.scales[0]
         return not any(
             sizes[kind].mean() < -max(FAR * sizes[kind].std(), tolerance)
-            for kind, tolerance in least.items()
+            for kind, tolerance in tolerances.items()
         )
 
     @cached_property
@@ -524,9 +524,9 @@ def linearised_fit(fit: SimulatedFit, nuisances: Sequence[Direction]) -> Lineari
     for index, (jacobian, residual) in enumerate(zip(jacobians, residuals, strict=True)):
         active, active_columns = _columns(fit, index, labels)
         # Only inner products matter, so the R factor replaces all samples.
-        triangle = np.linalg.qr(np.column_stack([jacobian, active_columns, residual]), mode="r")
-        row = np.zeros((len(triangle), d + width + 1))
-        row[:, [*range(d), *(d + k for k in active), d + width]] = triangle
+        r_factor = np.linalg.qr(np.column_stack([jacobian, active_columns, residual]), mode="r")
+        row = np.zeros((len(r_factor), d + width + 1))
+        row[:, [*range(d), *(d + k for k in active), d + width]] = r_factor
         rows.append(row)
         acting.append(active)
         columns.append(active_columns)
@@ -592,7 +592,7 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
     model = fit.model
     stated = {effect.name for effect in model.bench.effects}
     # Viscous friction that the bench states has no dry share.
-    open_to_all = {u.name for u in model.unknowns if u.recording is None and u.centre == 0.0}
+    open_names = {u.name for u in model.unknowns if u.recording is None and u.centre == 0.0}
     motor_rad_per_s = (
         max(abs(observation.reference_speed_rpm) for observation in model.recordings) / RPM
     )
@@ -600,7 +600,7 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
     for side, speed_rad_per_s in (("motor", motor_rad_per_s), ("load", load_rad_per_s)):
         effect, viscous = f"{side}_coulomb_friction", f"{side}_viscous_friction"
         viscous = Slot[f"{viscous}__coefficient_nm_s_per_rad"].name
-        if viscous in open_to_all and effect not in stated:
+        if viscous in open_names and effect not in stated:
             yield Direction(
                 Slot[f"{effect}__torque_nm"].name,
                 UNIFORM_SD * fit.value(viscous) * speed_rad_per_s,
@@ -615,7 +615,7 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
 def _labels(fit: SimulatedFit, nuisances: Sequence[Direction]) -> tuple[Label, ...]:
     """Labels of each direction in all snapshots, and of drift and causes in each but the first."""
     model, nuisances = fit.model, [*nuisances, *_dry_shares(fit)]
-    taken = {(u.name, u.recording) for u in model.unknowns}
+    free_keys = {(u.name, u.recording) for u in model.unknowns}
     owners = [observation.name for observation in model.recordings[1:]]
     labels = [Label((d,), None) for d in nuisances if d.usual > 0.0]
     labels += [Label((d,), owner) for d in nuisances if d.drift > 0.0 for owner in owners]
@@ -629,7 +629,7 @@ def _labels(fit: SimulatedFit, nuisances: Sequence[Direction]) -> tuple[Label, .
     return tuple(
         label
         for label in labels
-        if not any((d.slot, label.recording) in taken for d in label.directions)
+        if not any((d.slot, label.recording) in free_keys for d in label.directions)
     )
 
 
@@ -703,8 +703,8 @@ def _slopes(
         norms = np.linalg.norm(changes, axis=1)
         adjusted = steps[pending] * SEEN_STEP / np.maximum(norms, 1e-12)
         adjusted = np.clip(adjusted, [nuisances[int(k)].least for k in pending], farthest[pending])
-        unfit = (adjusted > 2.0 * steps[pending]) | (adjusted < 0.2 * steps[pending])
-        steps[pending], pending = adjusted, pending[unfit]
+        needs_retry = (adjusted > 2.0 * steps[pending]) | (adjusted < 0.2 * steps[pending])
+        steps[pending], pending = adjusted, pending[needs_retry]
         if not pending.size:
             break
     return slopes * share[:, None]
@@ -712,13 +712,13 @@ def _slopes(
 
 def with_neutral(bench: Bench, nuisances: Sequence[Direction]) -> Bench:
     """The bench with every law that it lacks, at size zero."""
-    have = {effect.name for effect in bench.effects}
+    present = {effect.name for effect in bench.effects}
     added = [
         BenchEffect(
             name, {p.name: EffectParameterValue(p.neutral) for p in effect_named(name).parameters}
         )
         for name in dict.fromkeys(d.effect for d in nuisances if d.effect is not None)
-        if name not in have
+        if name not in present
     ]
     return bench.with_effects(*bench.effects, *added) if added else bench
 
@@ -741,8 +741,8 @@ def with_far_terms_freed(
             break
         freed = trials[0]
         limit = freed.chi_square + MOST_MORE
-        lean = [trial.without_derivatives() for trial in trials if trial.chi_square < limit]
-        loops += [(lean[0], trial) for trial in lean[1:]]
+        stripped = [trial.without_derivatives() for trial in trials if trial.chi_square < limit]
+        loops += [(stripped[0], trial) for trial in stripped[1:]]
         fit = fit_simulated(freed.model, freed.point, freed.steps, one_sided=True)
         linear_fit = linearised_fit(fit, nuisances)
     if linear_fit is nominal or not linear_fit.explains:
@@ -762,8 +762,8 @@ def other_loops(linear_fit: LinearisedFit) -> list[SimulatedFit]:
         freed = fit.model.unknowns[chosen_size:]
         if {u.key for u in freed} & {u.key for u in rival.model.unknowns}:
             continue
-        since = [e for e in fit.model.bench.effects if e not in chosen.model.bench.effects]
-        bench = rival.model.bench.with_effects(*rival.model.bench.effects, *since)
+        added_effects = [e for e in fit.model.bench.effects if e not in chosen.model.bench.effects]
+        bench = rival.model.bench.with_effects(*rival.model.bench.effects, *added_effects)
         model = replace(rival.model.with_unknowns(bench, freed), noise=fit.model.noise)
         common = sum(1 for _ in common_unknowns(fit.model, rival.model))
         start = np.concatenate([rival.point, fit.point[chosen_size:]])
@@ -832,11 +832,11 @@ def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[Si
     """
     moving = any(observation.motion is not None for observation in fit.model.recordings)
     stated = next((e for e in fit.model.bench.effects if e.name == SAMPLED), None)
-    taken = {unknown.name for unknown in fit.model.unknowns}
+    free_names = {unknown.name for unknown in fit.model.unknowns}
     if stated is None:
         periods_s: tuple[float, ...] = () if moving else USUAL_PERIODS_S
     else:
-        is_known = DEAD_TIME in taken or "delay_periods" in stated.parameters
+        is_known = DEAD_TIME in free_names or "delay_periods" in stated.parameters
         periods_s = () if is_known else (stated.complete()["period_s"],)
     minimal_chi_square, models, promises = _minimal_chi_square(fit, nuisances), {}, []
     for period_s in periods_s:
@@ -844,7 +844,9 @@ def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[Si
         if stated is None:
             ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
             bench = bench.with_effects(*bench.effects, ticks)
-        freed = [d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - taken]
+        freed = [
+            d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - free_names
+        ]
         added = [
             u for d in freed for u in Label((d,), None).unknowns(bench.vector()[0], np.ones(1))
         ]
@@ -920,8 +922,8 @@ def marginalised(
         trial = flat[outside] + shifts[rng.permutation(len(flat))[: outside.size]]
         if linear_posterior.linearised.groups:
             # A discrepancy is in no catalogue, so the direction in which it moves δ is unknown too.
-            lean = shifts[:, gaps].mean(axis=0)
-            trial[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
+            mean_shift = shifts[:, gaps].mean(axis=0)
+            trial[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, mean_shift)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
         for k in gaps:
             unknown = model.unknowns[k]

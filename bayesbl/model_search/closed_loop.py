@@ -355,12 +355,12 @@ class SetSearch:
         labels = [(frozenset(entry.explanation.names), p) for entry, p in sets]
         inclusion = {name: sum(p for names, p in labels if name in names) for name in best.names}
         certain = [name for name, p in inclusion.items() if p >= NAMED_AT]
-        effects, idle = [], set(range(len(best.candidates)))
+        effects, unneeded = [], set(range(len(best.candidates)))
         for group in [*((name,) for name in certain), *confounded(labels, certain)]:
             index = next((k for k, name in enumerate(best.names) if name in group), None)
             if index is None:
                 continue
-            idle.discard(index)
+            unneeded.discard(index)
             name, smaller = best.names[index], self._without(best_set, index)
             gain = math.inf if smaller is None else smaller.fit.chi_square - best_set.fit.chi_square
             rivals = tuple(
@@ -372,7 +372,7 @@ class SetSearch:
                 and p > (1.0 - NAMED_AT) * 0.1
             )
             effects.append(NamedCandidate(best.candidates[index], gain, inclusion[name], rivals))
-        final = (reduced(nominal, best, idle) if idle else best) or nominal
+        final = (reduced(nominal, best, unneeded) if unneeded else best) or nominal
         return replace(
             naming,
             final=with_own_noise(final) if final.candidates else nominal,
@@ -420,8 +420,10 @@ class SetSearch:
     def _find_orders(self, fitted: FittedSet) -> None:
         """Add candidates at motor orders that the set's hypotheses had hidden."""
         if fitted.explanation.candidates and fitted.explanation.keys not in self._explored:
-            late = {c.key: c for c in self._catalogue(motor_orders(fitted.fit))}
-            self._candidates |= {k: c for k, c in late.items() if k not in self._candidates}
+            new_candidates = {c.key: c for c in self._catalogue(motor_orders(fitted.fit))}
+            self._candidates |= {
+                k: c for k, c in new_candidates.items() if k not in self._candidates
+            }
 
     def _reduced(self, fitted: FittedSet) -> Iterator[FittedSet]:
         for index in range(len(fitted.explanation.candidates)):
@@ -539,8 +541,8 @@ class SetSearch:
                         source=(candidate, start),
                     )
                 )
-        looks = Counter(term.hypothesis for term in terms)
-        terms = [replace(term, prior_weight=1.0 / looks[term.hypothesis]) for term in terms]
+        form_counts = Counter(term.hypothesis for term in terms)
+        terms = [replace(term, prior_weight=1.0 / form_counts[term.hypothesis]) for term in terms]
         return linearised(explanation, terms, self._nuisances, self._noise)
 
     def _columns(
@@ -560,8 +562,8 @@ class SetSearch:
         if key not in simulated:
             # In this recording, its own unknowns and shared ones make the same change.
             shared = tuple(replace(u, recording=None) for u in candidate.unknowns)
-            everywhere = replace(candidate, recording=None, unknowns=shared)
-            simulated[key] = columns_of(fit, everywhere)
+            shared_candidate = replace(candidate, recording=None, unknowns=shared)
+            simulated[key] = columns_of(fit, shared_candidate)
         index = [observation.name for observation in fit.model.recordings].index(
             candidate.recording
         )
@@ -654,8 +656,8 @@ def _banded(
     model, d = fit.model, fit.point.size
     widths = [term.columns.shape[1] for term in terms]
     # An unknown stopped by the end of its range moves no further, whatever that would explain.
-    stopped = (fit.point <= model.low) | (fit.point >= model.high)
-    pull = np.where(stopped, 0.0, prior_pull(model, fit.point))
+    at_bound = (fit.point <= model.low) | (fit.point >= model.high)
+    pull = np.where(at_bound, 0.0, prior_pull(model, fit.point))
     columns = [fit.derivatives(), *(term.columns for term in terms)]
     columns += [signal[:, None] for signal in (*forms, fit.residual)]
     size, form_count = sum(part.shape[1] for part in columns), len(forms)
@@ -665,7 +667,7 @@ def _banded(
     for observation, (begin, end) in zip(model.recordings, itertools.pairwise(ends), strict=True):
         # One recording at a time: a second copy of all columns would fill the memory.
         rows = np.hstack([part[begin:end] for part in columns])
-        rows[:, :d][:, stopped] = 0.0
+        rows[:, :d][:, at_bound] = 0.0
         total += rows.T @ rows
         channels = rows.reshape(len(observation.signals), -1, size)
         for channel in channels:
@@ -695,8 +697,8 @@ def _banded(
             rows = np.asarray(np.linalg.qr(rows, mode="r"))
         if len(rows):
             own_rows = slice(begin, begin + len(rows))
-            kind, size_of = f"load orders up to {highest}", usual.get(highest, math.inf)
-            bands.append(MisfitBand(kind, own_rows, freedom, size_of))
+            kind, usual_size = f"load orders up to {highest}", usual.get(highest, math.inf)
+            bands.append(MisfitBand(kind, own_rows, freedom, usual_size))
             blocks.append(rows)
             begin += len(rows)
     kept = [*range(form_start), size - 1]

@@ -385,8 +385,7 @@ def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
 
 
 def _compared(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParameter:
-    """Compare a parameter in one recording with another recording, or with the shared value, drift
-    included."""
+    """Compare a parameter, drift included, between two recordings."""
     own_sd = np.sqrt(np.diag(fit.covariance))
     steps = np.diag(own_sd)
     points = np.concatenate([fit.point[None], fit.point + steps, fit.point - steps])

@@ -253,17 +253,19 @@ def orthant(
             # Rounding must not make a variance negative if the matrix is nearly singular.
             s = np.maximum(sigma[:, i, i], 1e-12 * np.abs(covariance[:, i, i]))
             cavity = 1.0 / np.maximum(1.0 / s - t[:, i], 1e-12 / s)
-            middle = cavity * (mu[:, i] / s - v[:, i])
-            z = middle / np.sqrt(cavity)
+            cavity_mean = cavity * (mu[:, i] / s - v[:, i])
+            z = cavity_mean / np.sqrt(cavity)
             log_z = log_ndtr(z)
             hazard = np.exp(-0.5 * z * z - 0.5 * _LOG_TWO_PI - log_z)
             is_far = z < -50.0
             zf = np.where(is_far, z, -50.0)
-            shrunk = np.where(is_far, 1.0 / zf**2, 1.0 - hazard * (z + hazard))
-            inside = np.where(is_far, -np.sqrt(cavity) / zf, middle + np.sqrt(cavity) * hazard)
-            spread = cavity * np.clip(shrunk, 1e-12, 1.0)
-            t_new = np.where(on, np.maximum(1.0 / spread - 1.0 / cavity, 0.0), 0.0)
-            v_new = np.where(on, inside / spread - middle / cavity, 0.0)
+            variance_ratio = np.where(is_far, 1.0 / zf**2, 1.0 - hazard * (z + hazard))
+            tilted_mean = np.where(
+                is_far, -np.sqrt(cavity) / zf, cavity_mean + np.sqrt(cavity) * hazard
+            )
+            tilted_variance = cavity * np.clip(variance_ratio, 1e-12, 1.0)
+            t_new = np.where(on, np.maximum(1.0 / tilted_variance - 1.0 / cavity, 0.0), 0.0)
+            v_new = np.where(on, tilted_mean / tilted_variance - cavity_mean / cavity, 0.0)
             dt, dv = t_new - t[:, i], v_new - v[:, i]
             row = sigma[:, :, i].copy()
             grow = 1.0 + dt * s
@@ -272,8 +274,8 @@ def orthant(
             t[:, i], v[:, i] = t_new, v_new
             largest_change = max(largest_change, float(np.max(np.abs(dt) * s / grow)))
             site = -0.5 * np.log1p(t_new * cavity) + 0.5 * (
-                (middle / cavity + v_new) ** 2 * cavity / (1.0 + t_new * cavity)
-                - middle**2 / cavity
+                (cavity_mean / cavity + v_new) ** 2 * cavity / (1.0 + t_new * cavity)
+                - cavity_mean**2 / cavity
             )
             log_site[:, i] = np.where(on, log_z - site, 0.0)
         if largest_change < 1e-4:
@@ -377,9 +379,9 @@ class _Grams:
         self.widths = np.array([t.columns.shape[1] for t in terms], dtype=int)
         ends = np.cumsum([0, *self.widths])
         column_ranges = [np.arange(a, b) for a, b in itertools.pairwise(ends)]
-        nothing = np.zeros(0, dtype=int)
-        self.columns_remaining = np.concatenate([nothing, *(column_ranges[i] for i in remaining)])
-        self.columns_free = np.concatenate([nothing, *(column_ranges[i] for i in self.free)])
+        empty = np.zeros(0, dtype=int)
+        self.columns_remaining = np.concatenate([empty, *(column_ranges[i] for i in remaining)])
+        self.columns_free = np.concatenate([empty, *(column_ranges[i] for i in self.free)])
         self.d, self.k = view.jacobian.shape[1], self.columns_remaining.size
         self.m = view.discrepancy.shape[1]
         self.scale_of_column = self._discrepancy_scale()
@@ -408,8 +410,8 @@ class _Grams:
         self.excess_chi_square = chi_square - (samples - effective)
         starts = dict(zip(remaining, np.cumsum([0, *self.widths[remaining]]), strict=False))
         self.columns_of = {i: starts[i] + np.arange(self.widths[i]) for i in remaining}
-        bound = [i for i in remaining if terms[i].always]
-        self.bound_columns = np.concatenate([nothing, *(self.columns_of[i] for i in bound)])
+        always_positive = [i for i in remaining if terms[i].always]
+        self.bound_columns = np.concatenate([empty, *(self.columns_of[i] for i in always_positive)])
         self.is_positive = np.zeros(self.k, dtype=bool)
         self.absent = np.zeros(self.k)
         for i in remaining:
@@ -547,9 +549,9 @@ class _Grams:
         columns = self.columns(terms)
         if columns.size:
             block = gram[np.ix_(columns, columns)] + np.eye(columns.size)
-            through = np.linalg.solve(block, gram[columns])
-            gram = gram - gram[:, columns] @ through
-            right = right - through.T @ right[columns]
+            regression = np.linalg.solve(block, gram[columns])
+            gram = gram - gram[:, columns] @ regression
+            right = right - regression.T @ right[columns]
         selected = np.array(self.selected, dtype=int)
         added = np.full(selected.size, -np.inf)
         possible = (
@@ -596,8 +598,8 @@ def search(
     are used. All pairs are tried, and larger sets are extended from the best.
     """
     grams = _Grams(linearised, probability)
-    nowhere = (0,) * len(linearised.scaled)
-    levels = list(dict.fromkeys([nowhere, _best_level(grams, (), nowhere)]))
+    no_discrepancy = (0,) * len(linearised.scaled)
+    levels = list(dict.fromkeys([no_discrepancy, _best_level(grams, (), no_discrepancy)]))
     pool: dict[tuple[int, ...], float] = {}
     done = 0
     while done < len(levels) and done < 5:
@@ -612,10 +614,12 @@ def search(
     # ``>=``, because a difference of twelve vanishes beside an evidence above 1e17.
     sets = [terms for terms in pool if pool[terms] >= top - KEPT_BELOW]
     sets = sorted(sets, key=lambda terms: -pool[terms])[:MOST_KEPT]
-    suits = {level: float(grams.log_posterior(sets[:1], level)[0]) for level in levels}
-    suiting = [level for level in levels if suits[level] >= max(suits.values()) - KEPT_BELOW]
+    best_scores = {level: float(grams.log_posterior(sets[:1], level)[0]) for level in levels}
+    good_levels = [
+        level for level in levels if best_scores[level] >= max(best_scores.values()) - KEPT_BELOW
+    ]
     evaluated_levels = dict.fromkeys(
-        n for level in suiting for n in (level, *_neighbours(grams, level))
+        n for level in good_levels for n in (level, *_neighbours(grams, level))
     )
     scored: list[tuple[float, tuple[int, ...], tuple[int, ...]]] = []
     for level in evaluated_levels:
@@ -814,9 +818,9 @@ class ModelPosterior:
 
     def _likely(self) -> dict[Model, float]:
         """Models with nearly all of the probability, and the share of each."""
-        held = np.cumsum(np.exp([m.log_posterior for m in self.models]))
-        count = 1 + int(np.searchsorted(held, WEIGHED_SHARE * held[-1]))
-        return {m: math.exp(m.log_posterior) / held[count - 1] for m in self.models[:count]}
+        cumulative = np.cumsum(np.exp([m.log_posterior for m in self.models]))
+        count = 1 + int(np.searchsorted(cumulative, WEIGHED_SHARE * cumulative[-1]))
+        return {m: math.exp(m.log_posterior) / cumulative[count - 1] for m in self.models[:count]}
 
     @property
     def excess_chi_square(self) -> float:

@@ -199,7 +199,7 @@ class _Residual:
         return power
 
     def gain(self, scale: Scale, cycles: float) -> tuple[float, float]:
-        """Log likelihood gained by a line near this number of cycles in the record, and its best
+        """Log likelihood gained by a line near this number of cycles in the record, and its
         position.
 
         The non-repeating part lacks the share of a line that averaging over rotations removed.
@@ -257,8 +257,8 @@ class _Residual:
         return hertz * float(self.coefficients[0]), hertz * error
 
     def repeating(self, chance: float, tests: int) -> tuple[float, tuple[int, int] | None]:
-        """Mean square of what repeats with the load, and the range of load orders in which it
-        stands out.
+        """Mean square of what repeats with the load, and the load orders between which it stands
+        out.
 
         The range is ``None`` if nothing stands out. The mean, lines and the expected share of noise
         are subtracted. ``chance``: false-alarm probability of a single order. A whole band may
@@ -282,9 +282,9 @@ class _Residual:
         excess = 2.0 / self.without_lines.size * float((power - floor)[1 : highest + 1].sum())
         orders = (1, highest) if len(bands) * probability * tests <= SURE else None
         if (significant := significant[significant > 0]).size:
-            below = np.cumsum(power[significant]) / power[significant].sum()
+            cumulative = np.cumsum(power[significant]) / power[significant].sum()
             ends = 0.5 * (1.0 - MAIN_SHARE), 0.5 * (1.0 + MAIN_SHARE)
-            low, high = (int(significant[np.argmax(below >= end)]) for end in ends)
+            low, high = (int(significant[np.argmax(cumulative >= end)]) for end in ends)
             orders = low, high
         return max(excess, 0.0), orders
 
@@ -398,14 +398,16 @@ def _residual(observation: Observed, simulated: FloatArray, channel: str) -> _Re
     row = observation.channels.index(channel)
     turns = rotations * observation.rotation_period_s * abs(observation.reference_speed_rpm) / 60.0
     time = np.arange(n, dtype=float)
-    turned = time
+    motor_angle = time
     if MOTOR_SPEED in observation.channels:
         from scipy.integrate import cumulative_trapezoid
 
-        turning = np.abs(simulated[observation.channels.index(MOTOR_SPEED), :n]) / 60.0
-        turned = cumulative_trapezoid(turning, dx=n / observation.sampling_hz / turns, initial=0.0)
+        speed = np.abs(simulated[observation.channels.index(MOTOR_SPEED), :n]) / 60.0
+        motor_angle = cumulative_trapezoid(
+            speed, dx=n / observation.sampling_hz / turns, initial=0.0
+        )
     lengths: dict[Scale, float] = {TIME: n / observation.sampling_hz, MOTOR: turns, LOAD: turns}
-    positions: dict[Scale, FloatArray] = {TIME: time, MOTOR: turned, LOAD: time}
+    positions: dict[Scale, FloatArray] = {TIME: time, MOTOR: motor_angle, LOAD: time}
     values = (observation.signals - simulated)[row, :n]
     return _Residual(
         observation.name, values, rotations, positions, lengths, (time - time.mean())[:, None]
@@ -441,17 +443,20 @@ def _lines(
         }
         totals = {s: sum(gain for gain, _ in pairs) for s, pairs in gains.items()}
         plausible = [s for s in totals if totals[s] >= max(totals.values()) - CLEARLY]
-        half = 2.0 * positions[MOTOR]
-        is_whole = round(half) > 0 and abs(half - round(half)) * strongest.lengths[MOTOR] < 1.0
+        half_orders = 2.0 * positions[MOTOR]
+        is_whole = (
+            round(half_orders) > 0
+            and abs(half_orders - round(half_orders)) * strongest.lengths[MOTOR] < 1.0
+        )
         by_order = MOTOR in plausible and is_whole
-        drawn = MOTOR if by_order else LOAD if LOAD in plausible else plausible[0]
+        best_scale = MOTOR if by_order else LOAD if LOAD in plausible else plausible[0]
         places = []
-        for i, (gain, cycles) in enumerate(gains[drawn]):
+        for i, (gain, cycles) in enumerate(gains[best_scale]):
             if i == strongest_index or gain > -math.log(chance):
-                residuals[i].remove(drawn, cycles)
+                residuals[i].remove(best_scale, cycles)
                 places.append((i, len(residuals[i].cycles) - 1))
-        if drawn != LOAD:
-            yield drawn if by_order or len(plausible) == 1 else "angle or time", places
+        if best_scale != LOAD:
+            yield best_scale if by_order or len(plausible) == 1 else "angle or time", places
 
 
 def _line(
