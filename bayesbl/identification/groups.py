@@ -185,8 +185,7 @@ def _identified(result: Identification, problem: Problem, bench: Bench) -> xr.Da
 
 
 def _disagreement(result: Identification, problem: Problem) -> DisagreementTableSummary:
-    """Disagreement before and after: "before" has the data sheet's values, with gap and start
-    angles fitted.
+    """Disagreement with the data sheet's values (gap and start angles fitted), and with the final.
 
     An implausible data sheet is not simulated: ``final`` replaces it, so the two do not differ.
     """
@@ -248,8 +247,7 @@ def _answer(
 
 
 def _free_effects(final: Explanation) -> list[str]:
-    """Effects with unknown parameters: friction, uncertain effects of the bench, and named
-    effects."""
+    """Effects with unknown parameters: friction, the bench's uncertain effects, and named ones."""
     model = final.fit.model
     unknown_effects = {unknown.name.partition("__")[0] for unknown in model.unknowns}
     return [effect.name for effect in model.bench.effects if effect.name in unknown_effects]
@@ -287,8 +285,7 @@ def _parameter(
 
 
 def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSummary]:
-    """Groups known by their ratios, each parameter in at most one, and pairs known by their
-    product.
+    """Groups known by their ratios, each parameter in at most one; pairs known by their product.
 
     Parameters
     ----------

@@ -451,10 +451,10 @@ def _scan_candidates(problem: Problem) -> list[Candidate]:
 
 
 def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, FloatArray]:
-    """Promised χ² beyond noise with one parameter near a value, and the best gap and start angles
-    there.
+    """Promised χ² beyond noise with one parameter near a value, and the point that promises it.
 
-    The parameter is the last unknown. Infinite if the bench is implausible.
+    The parameter is the last unknown; gap and start angles are the best ones there. Infinite if the
+    bench is implausible.
     """
     extended_model = extended(model, candidate)
     centre = float(candidate.neutral[0])

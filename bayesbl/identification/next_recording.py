@@ -63,8 +63,7 @@ def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:
 
 
 def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
-    """Whether a further recording shares the unknown; of separate gaps, that of the last
-    recording."""
+    """Whether further recordings share the unknown; of separate gaps, they share the last one."""
     last = fit.model.recordings[-1].name
     return unknown.recording is None or (unknown.name == GAP and unknown.recording == last)
 
@@ -131,10 +130,10 @@ def _summary(
 def _information(
     fit: SimulatedFit, shared: Sequence[int], observation: Observed, index: int
 ) -> FloatArray | None:
-    """Information of one rotation times their number, or of a motion; ``None`` if the drive cannot
-    follow.
+    """Information of one rotation times their number, or of a motion.
 
-    Start angle and phases of effects are those of the recording at that index.
+    Start angle and phases of effects are those of the recording at that index. ``None`` if the
+    drive cannot follow.
     """
     model = fit.model
     indices = model.places_in(index)

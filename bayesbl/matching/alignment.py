@@ -164,8 +164,7 @@ def aligned_starts(
 
 
 def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
-    """The point with each learned term shifted to fit each recording best, by a scan of its
-    period."""
+    """The point with each learned term shifted to its best place in each recording, by a scan."""
     start = start.copy()
     terms = model.bench.learned_terms
     for (i, observation), term in itertools.product(enumerate(model.recordings), terms):
@@ -340,8 +339,7 @@ def _variants(fit: SimulatedFit) -> Iterator[SimulatedFit]:
 
 
 def in_motion(fit: SimulatedFit) -> SimulatedFit | None:
-    """The fit without its motions' standstills; ``None`` if there are none, or too little is
-    left."""
+    """The fit without its motions' standstills; ``None`` if there are none, or little is left."""
     moving = [
         without_standstill(observation, fit.model.bench) for observation in fit.model.recordings
     ]

@@ -140,8 +140,7 @@ def in_whole_ticks(matrix: FloatArray, observation: Observed) -> FloatArray:
 
 
 def repeats(matrix: FloatArray, observation: Observed) -> bool:
-    """Whether these benches repeat after a whole number of samples, fewer than the recording
-    has."""
+    """Whether these benches repeat after whole samples, fewer than the recording has."""
     if observation.motion is not None or observation.lag >= observation.samples:
         return False
     turn_s = _common_rotation_s(matrix)

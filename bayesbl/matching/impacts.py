@@ -87,8 +87,7 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
             slopes: FloatArray = slopes,
             halves: FloatArray = halves,
         ) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Scores of impacts, (g,), their covariance by the recorder's noise, and their
-            halves."""
+            """Scores of impacts, (g,), with their covariance by the recorder's noise and halves."""
             weighted = weights[:, None] * halves
             power = np.sum(weighted**2, axis=2)
             # A lost impact says nothing.

@@ -109,8 +109,7 @@ class SimulatedFit:
         return replace(self)
 
     def peak(self) -> FloatArray:
-        """Peak of the normal approximation, shape (d,); it may lie outside a range that stopped the
-        fit."""
+        """Peak of the normal approximation, (d,); outside where a range's end stopped the fit."""
         model = self.model
         if np.all((self.point > model.low) & (self.point < model.high)):
             return self.point
@@ -146,8 +145,7 @@ def fit_simulated(
     known: FloatArray | None = None,
     goal: float = math.inf,
 ) -> SimulatedFit:
-    """Fit by Levenberg-Marquardt within the priors' ranges, with each Jacobian in one simulation
-    batch.
+    """Levenberg-Marquardt within the priors' ranges, with each Jacobian in one simulation batch.
 
     Parameters
     ----------

@@ -79,8 +79,7 @@ class LoopNoise:
     linear: FloatArray
 
     def factors(self, direction: FloatArray) -> FloatArray:
-        """Variance of the recording's noise along a change of its rotations, equally likely values,
-        (k,).
+        """Equally likely variances of the recording's noise along a change of its rotations, (k,).
 
         ``direction``: change of the whitened rotations, (r, c lag). In units of the variance of
         whitened noise.
@@ -137,8 +136,7 @@ def degrees_of_freedom(rows: FloatArray) -> float:
 
 
 def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
-    """Function of a change of the whitened signals (N,): likely values of the variance of all
-    noise.
+    """Function from a change of the whitened signals (N,) to likely variances of all noise.
 
     In units of the recorder's variance, as :meth:`LoopNoise.factors` of each recording. For
     rounding that may be the same in all rotations, in units of its assumed variance.

@@ -73,8 +73,7 @@ def noise_of(observation: Observed, residual: FloatArray) -> ChannelNoise:
 
 
 def _rounding_of(observation: Observed, residual: FloatArray) -> FloatArray | None:
-    """Autocovariance of each channel's rounding, given the residual of the simulation, shape (c,
-    n)."""
+    """Autocovariance of each channel's rounding, given the simulation's residual, shape (c, n)."""
     if not observation.rounding:
         return None
     simulated = observation.signals - residual

@@ -53,8 +53,7 @@ class MotorLines:
 
     @cached_property
     def interpolation(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-        """Index of the hat before each sample, and the weights of it and the next one, (n,)
-        each."""
+        """Index of the hat before each sample, and the weights of it and of the next, (n,) each."""
         place = self.turns % 1.0 * self.count
         before = np.floor(place).astype(np.int64)
         share = place - before

@@ -228,8 +228,7 @@ def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None
 
 
 def asked_speed(recording: Recording, bench: Bench) -> tuple[float | None, str]:
-    """Reference speed of a recording, rpm, with the reason for it; ``None`` if it is the
-    bench's."""
+    """Reference speed of a recording, rpm, and the reason; ``None`` if it is the bench's."""
     mean = _mean_speed_rpm(recording, bench.value("gear_ratio"))
     bench_rpm = bench.value("reference_speed_rpm")
     if abs(abs(mean / bench_rpm) - 1.0) <= LARGEST_SPEED_ERROR:
@@ -476,8 +475,7 @@ def _without_feedforward(spectrum: ComplexArray, feedforward: ComplexArray) -> C
 
 
 def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[Rounding, ...]:
-    """Rounding of each channel; the controller passes the inexactness of the speed on to the
-    current."""
+    """Rounding of each channel; the controller makes the current as inexact as the speed."""
     gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
     least = LEAST_NOISE * abs(reference_rpm)
     accuracies = least, least / RPM_PER_RAD_PER_S * gain

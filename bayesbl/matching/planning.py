@@ -201,8 +201,7 @@ def _planned(
 def _expected(
     bench: Bench, observation: Observed, start_angle_rad: float, gap_rad: float, workers: int
 ) -> tuple[int, float]:
-    """Number of flank changes at a gap, and the standard deviation of ln δ, infinite without
-    any."""
+    """Number of flank changes at a gap, and standard deviation of ln δ; infinite without any."""
     unknowns = [
         gap_unknown(0.01 * gap_rad, 100.0 * gap_rad),
         start_angle_unknown(NAME),

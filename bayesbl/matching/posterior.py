@@ -134,12 +134,11 @@ class DirectPosterior:
     noise_only: NoiseOnly | None = None
 
     def beyond_tolerance(self, recording: str, level: float) -> dict[str, Any] | None:
-        """The bench parameter whose tolerance decides a recording's gap, with the shift of δ, or
-        ``None``.
+        """Bench parameter whose tolerance decides a recording's gap; ``None`` if none does.
 
-        If the recordings contradict a tolerance or range, the true value may lie beyond. The
-        tolerance, and not the recording, decides δ if removing it would shift δ, by the regression
-        of δ on the parameter, by more than half its interval.
+        With the shift of δ: if the recordings contradict a tolerance or range, the true value may
+        lie beyond. The tolerance, and not the recording, decides δ if removing it would shift δ, by
+        the regression of δ on the parameter, by more than half its interval.
         """
         model = self.fit.model
         gap = self.values(GAP, recording).ravel()
@@ -160,8 +159,7 @@ class DirectPosterior:
         return [flaw for *_, flaw in _contradicted(self.fit.model, self.draws)]
 
     def contradicted_together(self) -> list[str]:
-        """Names of the stated values that the recordings contradict together, the worst one left
-        out.
+        """Stated values that the recordings contradict together, even without the worst one.
 
         One value of a data sheet may be wrong. Several together mean that the bench lacks
         something, and δ is as wrong as they are. For normal priors with covariance S around c, and

@@ -149,10 +149,9 @@ def _powers(band: FloatArray) -> tuple[float, float]:
 def _by_band(
     row: FloatArray, observation: Observed, *, scatters: bool
 ) -> list[tuple[int, float, float]]:
-    """Repeating power by band, or slow power if the row does not repeat or holds less than two
-    cycles.
+    """Repeating power by band; slow power if nothing repeats, or less than two cycles are compared.
 
-    Without its start, a motion of two cycles has less than two that are compared.
+    A motion of two cycles is compared without its start, so it has less than two.
     """
     if not observation.repeats:
         return _slow(row, observation.lag, scatters=scatters)
@@ -178,8 +177,7 @@ def is_explained(fit: SimulatedFit) -> bool:
 
 
 def _spectrum(turns: FloatArray) -> ComplexArray:
-    """Spectrum of rotations (r, lag) by order; whitened noise has the power two, and one in the
-    mean."""
+    """Spectrum of rotations (r, lag) by order: whitened noise has the power 2, and 1 at order 0."""
     return np.asarray(np.fft.rfft(turns, axis=1) / np.sqrt(turns.shape[1] / 2.0))
 
 

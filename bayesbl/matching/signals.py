@@ -146,8 +146,7 @@ def gap_unknown(low_rad: float, high_rad: float, recording: str | None = None) -
 
 
 def start_angle_unknown(recording: str) -> Unknown:
-    """Start angle of one recording, with a prior as wide as a turn, in case gravity does not show
-    it."""
+    """Start angle of one recording; its prior is a turn wide, for joints without gravity."""
     return Unknown(START_ANGLE, centre=math.pi, sd=TURN_SD_RAD, recording=recording)
 
 
@@ -271,8 +270,7 @@ class NormalPrior:
         return np.asarray(density - 0.5 * ((offsets @ self.together.T) ** 2).sum(axis=1))
 
     def log_densities(self, points: FloatArray) -> FloatArray:
-        """ln density of each coordinate given those before it, up to constants, (m, d) to (m,
-        d)."""
+        """ln density of each coordinate given those before, up to constants; (m, d) to (m, d)."""
         offsets = points - self.centre
         densities = -0.5 * (offsets / self.sd) ** 2
         # W is the inverse of a lower triangular root: each row conditions on the coordinates
@@ -347,8 +345,7 @@ class SimulatedSignals:
         return [u.key for u in self.unknowns].index((name, recording))
 
     def place_of(self, name: str, recording: str) -> int | None:
-        """Index of a recording's own unknown, or of the shared one; ``None`` if the value is
-        known."""
+        """Index of a recording's own unknown, or of the shared one; ``None`` if it is known."""
         keys = [u.key for u in self.unknowns]
         return next((keys.index((name, r)) for r in (recording, None) if (name, r) in keys), None)
 
@@ -418,8 +415,7 @@ class SimulatedSignals:
             )
 
     def vectors(self, points: FloatArray, observation: Observed, **overrides: float) -> FloatArray:
-        """Bench parameters for a recording at points, (m, d) to (m, SLOTS), with ``overrides``
-        values."""
+        """Bench parameters for a recording at points, (m, d) to (m, SLOTS), with ``overrides``."""
         matrix = self.bench.vector(**(self.settings_of(points, observation) | overrides))
         return matrix if len(matrix) == len(points) else np.repeat(matrix, len(points), axis=0)
 

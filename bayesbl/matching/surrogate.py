@@ -67,8 +67,7 @@ class Surrogate:
         return np.asarray(np.sum([part.chi_square(points) for part in self.parts], axis=0))
 
     def chi_square_by_rotation(self, points: FloatArray) -> list[FloatArray]:
-        """χ² of each recording, shape (m, d) to (m, rotation); see
-        ``SimulatedSignals.rotations``."""
+        """χ² of each recording by its ``SimulatedSignals.rotations``, (m, d) to (m, rotation)."""
         return [part.chi_square_by_rotation(points) for part in self.parts]
 
 

@@ -412,8 +412,7 @@ class LinearisedFit:
     loops: tuple[tuple[SimulatedFit, SimulatedFit], ...] = ()
 
     def far_terms(self) -> list[tuple[Label, FloatArray]]:
-        """Terms far from their values in the fit, each with its best size alone, in standard
-        deviations.
+        """Terms far from their values in the fit, with their best sizes alone, in prior deviations.
 
         A term is far if its mean is far from zero, or if a change is almost certain. If only all
         terms together are significant, any shared law may be. Lags act alike when linear: if one is

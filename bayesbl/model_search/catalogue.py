@@ -145,8 +145,7 @@ class Candidate:
         return len(indices) == 1 and self.unknowns[indices[0]].low >= self.neutral[indices[0]]
 
     def is_at_full_size(self, start: FloatArray) -> bool:
-        """Whether a start has a nonzero size, as those of elastic parts: their frequency depends on
-        the size."""
+        """Whether a start has a size, as for elastic parts, whose frequency depends on it."""
         indices = self.amplitudes
         return bool(np.any(start[indices] != self.neutral[indices])) and any(
             np.array_equal(start, known_start) for known_start in self.starts
@@ -269,8 +268,7 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
 
 
 def _resonances(bench: Bench, effect: Effect, resonance: Resonance) -> Iterator[FloatArray]:
-    """Coordinates of an elastic part at full size, over a grid of its frequency and oscillating
-    inertia."""
+    """Coordinates of an elastic part at full size, over a grid of frequencies and inertias."""
     load = bench.value("load_inertia_kg_m2")
     shaft_rate = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") / load)
     low, high = resonance.multiples

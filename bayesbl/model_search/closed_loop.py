@@ -123,8 +123,7 @@ class FittedSet:
         return float(self.misfits.sum())
 
     def draws(self, generator: np.random.Generator, n: int) -> FloatArray:
-        """Draws of all unknowns, (n, d), from the normal approximation, with misfit and linear
-        terms."""
+        """Draws of all unknowns, (n, d), normal at the fit, with misfit and linear terms."""
         sd = np.sqrt(np.diag(self.fit.covariance))
         correlation = self.fit.covariance / np.outer(sd, sd)
         scatter = generator.multivariate_normal(np.zeros(sd.size), correlation, n, method="eigh")
@@ -551,8 +550,7 @@ class SetSearch:
         candidate: Candidate,
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]],
     ) -> list[list[FloatArray]]:
-        """Columns of a candidate. If it acts in one recording only, those of the shared effect, cut
-        to its rows.
+        """Columns of a candidate; in one recording only, rows of the shared effect's columns.
 
         So it does not change values that are known of the recording.
         """
@@ -737,8 +735,7 @@ def _largest_line(model: SimulatedSignals) -> float:
 
 
 def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
-    """Columns of noise fed back by the loop, by band, recording and channel; empty if there is
-    none.
+    """Columns of noise fed back by the loop, by band, recording and channel; empty without any.
 
     They hold its variance beyond that of the linear loop. A column with a standard normal size adds
     the covariance of its outer product. Noise has the same covariance in the mean rotation as in

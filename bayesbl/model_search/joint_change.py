@@ -464,8 +464,7 @@ def _own_effects(bench: Bench) -> list[Candidate]:
 
 
 def blind_spots(fit: SimulatedFit, nuisances: Sequence[Direction] = ()) -> list[HiddenChange]:
-    """Changes in the last recording that would pass, in decreasing order of their shift of the
-    change of δ.
+    """Undetected changes in the last recording, in decreasing order of their effect on δ's change.
 
     Marginalised laws and drift are left out.
 

@@ -428,8 +428,7 @@ class _Grams:
         self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float]] = {}
 
     def base(self, level: tuple[int, ...]) -> _Base:
-        """Everything after marginalising u and the terms always included, at the scales of the
-        bands."""
+        """Everything with u and the terms always included marginalised, at the bands' scales."""
         indices = level[len(self.view.groups) :]
         if indices not in self._bases:
             total = self.outside_bands.copy()
@@ -579,7 +578,7 @@ class _Grams:
     def normal(
         self, terms: tuple[int, ...], level: tuple[int, ...]
     ) -> tuple[np.ndarray, FloatArray, FloatArray]:
-        """Columns of a set (those always included last), with mean and precision before sign
+        """Columns of a set (those always included last); mean and precision without sign
         constraints."""
         gram, right, _ = self.at(level)
         columns = self.columns(terms)
@@ -766,8 +765,7 @@ class ModelPosterior:
         return (*((label,) for label in self.named), *self.confounded)
 
     def mean_of(self, terms: tuple[int, ...]) -> tuple[list[FloatArray], FloatArray]:
-        """Most probable sizes of each term of a set in its unit, (k,), and the resulting shift of
-        u, (d,).
+        """Most probable sizes of a set's terms in their units, (k,) each, and the shift of u, (d,).
 
         At the set's most probable scales, or at those of the most probable model if it has none.
         """

@@ -75,8 +75,7 @@ def direct_unknowns(
     gap_rad: tuple[float, float],
     moving: Sequence[str] = (),
 ) -> list[Unknown]:
-    """Unknowns of the direct route: gap and start angle of each recording, and what the bench
-    leaves open.
+    """Gap and start angle of each recording, and everything that the bench leaves open.
 
     ``moving``: names of the recordings of motions.
     """
@@ -161,8 +160,7 @@ class AveragedFit:
         *,
         withheld: bool = False,
     ) -> DirectPosterior:
-        """Draw from the fit as :func:`sample_direct` does, and average over models unless
-        ``withheld``."""
+        """Draw as :func:`sample_direct` does, and average over models unless ``withheld``."""
         fit = self.linear_fit.fit
         posterior = sample_direct(fit, settings, seed, drawing, simulating, withheld=withheld)
         return posterior if withheld else self.averaged(posterior, seed)

@@ -158,8 +158,7 @@ def reduced(
 
 
 def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Explanation]:
-    """Fit candidates that move the gap roughly, from the best points of a scan over the full
-    ranges.
+    """Fit candidates that move the gap roughly, from the best points of a full-range scan.
 
     Only the few with the best starting χ² are fitted. Returns those that remove much of the χ²,
     best first.

@@ -199,8 +199,7 @@ class _Residual:
         return power
 
     def gain(self, scale: Scale, cycles: float) -> tuple[float, float]:
-        """Log likelihood gained by a line near this number of cycles in the record, and its
-        position.
+        """Gain in log likelihood by a line near this number of cycles in the record; its position.
 
         The non-repeating part lacks the share of a line that averaging over rotations removed.
         """
@@ -257,12 +256,11 @@ class _Residual:
         return hertz * float(self.coefficients[0]), hertz * error
 
     def repeating(self, chance: float, tests: int) -> tuple[float, tuple[int, int] | None]:
-        """Mean square of what repeats with the load, and the load orders between which it stands
-        out.
+        """Mean square of what repeats with the load, and the load orders where it stands out.
 
-        The range is ``None`` if nothing stands out. The mean, lines and the expected share of noise
-        are subtracted. ``chance``: false-alarm probability of a single order. A whole band may
-        stand out too (Bonferroni over ``tests`` and bands).
+        ``None`` for the orders if nothing stands out. The mean, lines and the expected share of
+        noise are subtracted. ``chance``: false-alarm probability of a single order. A whole band
+        may stand out too (Bonferroni over ``tests`` and bands).
         """
         power = (
             np.abs(np.fft.rfft(self.without_lines)[:: self.rotations]) ** 2
