@@ -17,7 +17,7 @@ from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.expected_width import expected_sds
 from bayesbl.measurement.measurement import ExpectedSd
-from bayesbl.model_search.always_in import directions, settled, with_friction
+from bayesbl.model_search.always_in import directions, with_far_terms_freed, with_friction
 from bayesbl.model_search.pipeline import direct_unknowns
 
 BENCH, GAP_RAD = reference_bench(), 5e-4
@@ -44,7 +44,7 @@ def test_the_expected_width_is_that_of_an_answer() -> None:
     before = expected(seen)
     bench = with_friction(BENCH, seen)
     nominal = fit_aligned(bench, seen, direct_unknowns(bench, ["before", "after"], (0.0, 5e-3)))
-    rest = settled(nominal, directions(bench, {}))
+    rest = with_far_terms_freed(nominal, directions(bench, {}))
     fit = rest.fit
     shift = rest.posterior.draw(np.random.default_rng(0), 2000).shift
     places = [fit.model.index(GAP, name) for name in ("before", "after")]
