@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -40,11 +40,21 @@ from bayesbl.diagnosis.disagreement import (
     disagreement_table,
 )
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
-from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Term, search
+from bayesbl.model_search.linear import (
+    DiscrepancyGroup,
+    Draws,
+    Linearised,
+    MisfitBand,
+    Term,
+    search,
+)
 from bayesbl.model_search.residuals import Unexplained, What
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.units import unit_of
+
+MOST_TERMS = 8
+"""Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
 
 DEPENDENT = 1e-8
 """Share of its own length that a column must have apart from the others, to be fitted."""
@@ -182,6 +192,8 @@ class Candidate:
         The amplitude has a sign.
     own_phase
         A wave with a sine and a cosine for every recording; with one for all where ``False``.
+    probability
+        Beforehand; ``None`` where it is as of any other.
     """
 
     label: str
@@ -196,6 +208,7 @@ class Candidate:
     excludes: frozenset[str] = frozenset()
     requires: frozenset[str] = frozenset()
     same_as: tuple[str, ...] = ()
+    probability: float | None = None
 
     @property
     def holds_another(self) -> bool:
@@ -295,7 +308,9 @@ class AffineModel:
 
     ``nuisances``: columns that are fitted anyway, (N,), by name. ``nuisance_sds``: of those of
     which something is known beforehand, around what the base has. ``without``: predictions of a fit
-    without any effect, (N,), where the base and the nuisances alone are none.
+    without any effect, (N,), where the base and the nuisances alone are none. ``bands``: rows in
+    which anything may be off. ``noises``: of every used piece, where known. ``most_terms``: of a
+    set.
     """
 
     rows: Rows
@@ -305,6 +320,9 @@ class AffineModel:
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
     without: FloatArray | None = None
+    bands: tuple[MisfitBand, ...] = ()
+    noises: Sequence[ResidualNoise] | None = None
+    most_terms: int = MOST_TERMS
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -415,9 +433,6 @@ CLOSED = 0.9
 MOST_EFFECTS = 6
 """Named where a configuration does not say how many."""
 
-MOST_TERMS = 8
-"""Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
-
 NONE = 1e-6
 """Of its usual size: so small a size is none."""
 
@@ -435,22 +450,29 @@ _RIDGE_ROUNDS = 4
 _TINY = float(np.finfo(float).tiny)
 
 
-class View(Protocol):
+AnyView = TypeVar("AnyView", bound="Refinable")
+
+
+class Refinable(Protocol):
+    """What is affine around its present fit."""
+
+    @property
+    def model(self) -> AffineModel:
+        """There."""
+
+    def refined(self, inference: Inference) -> Self:
+        """Around the fit that an inference gives, with finer shapes."""
+
+
+class View(Refinable, Protocol):
     """Recordings and a bench, linearised."""
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """What is compared."""
 
-    @property
-    def model(self) -> AffineModel:
-        """Around the present fit."""
-
     def prepared(self) -> View:
         """Around a first fit."""
-
-    def refined(self, inference: Inference) -> View:
-        """Around the fit that an inference gives, with finer shapes."""
 
     def settled(self, labels: Sequence[str]) -> View:
         """Around the fit with these candidates and no other; itself where that is linear."""
@@ -528,18 +550,17 @@ class Inference:
         self._discrepancy = np.hstack(every)[used]
         ends = np.cumsum([columns.shape[1] for columns in every]).tolist()
         self.groups = [slice(*pair) for pair in pairwise(ends)]
-        if noises is None:
-            noises = self._noise_beside_everything([term.columns for term in terms])
-        self.noises = tuple(noises)
+        by_ridge = partial(self._noise_beside_everything, [term.columns for term in terms])
+        self.noises = tuple(noises or model.noises or by_ridge())
         shown = [piece.shown for piece in pieces]
-        pairs = list(zip(noises, shown, strict=True))
+        pairs = list(zip(self.noises, shown, strict=True))
         strongest = {
             alike: max(self._rounding, *(noise.strongest for noise, s in pairs if s == alike))
             for alike in set(shown)
         }
         self._shown_size = strongest[True]
         even = np.repeat([strongest[alike] for alike in shown], lengths)
-        self.sizes = np.maximum(np.concatenate([noise.local for noise in noises]), even)
+        self.sizes = np.maximum(np.concatenate([noise.local for noise in self.noises]), even)
         self._burst = self.sizes / even
         self._search(terms)
 
@@ -595,11 +616,16 @@ class Inference:
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
         sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
-        linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
-        self.posterior = search(linearised, MOST_TERMS)
-        draws = self.posterior.draw(np.random.default_rng(0), DRAWS)
-        self.nuisance_draws = draws.fitted
-        self.discrepancy_draws = draws.discrepancy
+        linearised = Linearised(
+            residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups, self.model.bands
+        )
+        own = {c.label: c.probability for c in self.model.candidates if c.probability is not None}
+        self.posterior = search(linearised, self.model.most_terms, own)
+
+    @cached_property
+    def draws(self) -> Draws:
+        """Of the posterior."""
+        return self.posterior.draw(np.random.default_rng(0), DRAWS)
 
     # What is asked of it
 
@@ -670,20 +696,20 @@ class Inference:
 
     def nuisance(self, name: str) -> Estimate:
         """A nuisance by name."""
-        draws = self.nuisance_draws[:, self.model.names.index(name)]
+        draws = self.draws.fitted[:, self.model.names.index(name)]
         return Estimate(float(draws.mean()), float(draws.std()))
 
     @property
     def average(self) -> Coefficients:
         """Of everything, over the posterior."""
         return Coefficients(
-            self.nuisance_draws.mean(axis=0),
+            self.draws.fitted.mean(axis=0),
             {
                 k: weight @ mean * self.terms[k].unit
                 for k, (weight, mean, _) in self.posterior.sizes.items()
             },
             {
-                g: self.discrepancy_draws[:, group].mean(axis=0)
+                g: self.draws.discrepancy[:, group].mean(axis=0)
                 for g, group in enumerate(self.groups)
             },
         )
@@ -778,8 +804,10 @@ class Inference:
             total += self.model.discrepancies[g].columns @ size
         return total
 
-    def residual_noise(self) -> list[ResidualNoise]:
-        """Of what the average over the posterior leaves of every used piece."""
+    def residual_noise(self) -> Sequence[ResidualNoise]:
+        """Of what the average over the posterior leaves of every used piece, unless it is known."""
+        if self.model.noises is not None:
+            return self.model.noises
         rows = self.model.rows
         residual = rows.measured - self.predicted(self.average)
         return [
@@ -801,7 +829,7 @@ class Inference:
 
     def taken(self, group: int) -> float:
         """χ² of a group's mean, as a share of the disagreement at the nominal fit."""
-        mean = self.discrepancy_draws[:, self.groups[group]].mean(axis=0)
+        mean = self.draws.discrepancy[:, self.groups[group]].mean(axis=0)
         signal = self.posterior.linearised.discrepancy[:, self.groups[group]] @ mean
         return float(signal @ signal) / max(self.posterior.excess_chi_square, 1.0)
 
@@ -822,12 +850,14 @@ def _of_waves(
     return made
 
 
-def inferred(view: View, progress: StageProgress | None = None) -> tuple[View, Inference]:
+def inferred(
+    view: AnyView, progress: StageProgress | None = None, rounds: int = ROUNDS
+) -> tuple[AnyView, Inference]:
     """A view around its best fit, and the posterior there."""
     inference = Inference(view.model)
-    for done in range(1, ROUNDS):
+    for done in range(1, rounds):
         if progress is not None:
-            progress("Comparing sets of effects", done, ROUNDS)
+            progress("Comparing sets of effects", done, rounds)
         noises = inference.residual_noise()
         view = view.refined(inference)
         inference = Inference(view.model, noises)
@@ -1067,7 +1097,7 @@ def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> Le
     series = inference.model.discrepancies[group].series
     if series is None:
         return None
-    draws = inference.discrepancy_draws[:, inference.groups[group]]
+    draws = inference.draws.discrepancy[:, inference.groups[group]]
     term = series.torque(fitted.discrepancy[group], draws.std(axis=0))
     low, high = series.reach
     if high - low > term.period:

@@ -16,19 +16,20 @@ from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.inference import inferred
 from bayesbl.diagnosis.rigid.orders import OrderedRest, clearest
 from bayesbl.diagnosis.rigid.speed_loop import (
     ANGLE,
     CANDIDATES,
     TORQUE,
     Lines,
+    LoopView,
     comparison,
     find_orders,
     law_powers,
     lines_of,
     loop_setting,
     loop_values,
-    searched,
     speed_of_torque,
     torque_of_angle,
 )
@@ -302,8 +303,10 @@ def test_recordings_of_one_speed_leave_both_laws_of_a_line_open() -> None:
         power = law_powers(VALUES, [6.0], np.array(speeds))[..., 0] * 0.05**2
         noise = np.full(power.shape, 1e-3 * power.min())
         lines = Lines((6.0,), np.array(speeds), power, noise, np.full(3, 5.0))
-        (members,) = searched(lines, VALUES, {}, CANDIDATES).sure
-        assert {h.part for h in members} == ({TORQUE} if apart else {TORQUE, ANGLE})
+        view, inference = inferred(LoopView(lines, VALUES, {}, CANDIDATES))
+        (members,) = inference.sure
+        parts = {view.laws[label][1] for label in members}
+        assert parts == ({TORQUE} if apart else {TORQUE, ANGLE})
 
 
 def test_noise_alone_stands_out_as_rarely_as_it_is_said_to() -> None:
