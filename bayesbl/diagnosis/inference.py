@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import Any, Literal, Protocol, Self, TypeVar
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw
@@ -32,13 +31,7 @@ from bayesbl.diagnosis.diagnosis import (
     ParameterError,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import (
-    ComparedPiece,
-    DisagreementSummary,
-    ResidualNoise,
-    Use,
-    disagreement_table,
-)
+from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, Use, disagreement_table
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import (
     DiscrepancyGroup,
@@ -46,6 +39,8 @@ from bayesbl.model_search.linear import (
     Linearised,
     MisfitBand,
     Term,
+    bounded_least_squares,
+    least_squares,
     search,
 )
 from bayesbl.model_search.residuals import Unexplained, What
@@ -55,9 +50,6 @@ from bayesbl.units import unit_of
 
 MOST_TERMS = 8
 """Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
-
-DEPENDENT = 1e-8
-"""Share of its own length that a column must have apart from the others, to be fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,25 +337,6 @@ class AffineModel:
     def columns(self, candidate: Candidate, look: Look) -> FloatArray:
         """Of a candidate, with a pair for every used recording where phases are their own."""
         return self.rows.by_recording(look.columns) if candidate.own_phase else look.columns
-
-
-def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
-    """x of the least ‖target − matrix x‖, shape (p,), with columns of any unit, (n, p)."""
-    scale = np.sqrt((matrix**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=DEPENDENT)[0] / scale)
-
-
-def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArray) -> FloatArray:
-    """The same with every x at least as large as ``low``, (p,): zero, or minus infinity."""
-    scale = np.sqrt((matrix**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    free = least_squares(matrix, target)
-    if np.all(free >= low):
-        return free
-    whole = np.column_stack([matrix / scale, target])
-    root = np.asarray(np.linalg.qr(whole, mode="r"), dtype=float)
-    return np.asarray(lsq_linear(root[:, :-1], root[:, -1], (low, np.inf)).x / scale)
 
 
 SURE_PARAMETER = 3.0
@@ -723,28 +696,19 @@ class Inference:
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
+        terms = [view.terms[k] for k in chosen]
+        learned = [view.discrepancy[:, self.groups[g]] for g in groups]
+        blocks = [view.jacobian, *(term.columns for term in terms), *learned]
+        widths = [block.shape[1] for block in blocks]
+        signs = [0.0 if term.positive else -free for term in terms]
         anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
-        blocks: list[tuple[FloatArray, float | Sequence[float], float]] = [
-            (view.jacobian, anyway, -free)
-        ]
-        for k in chosen:
-            term = view.terms[k]
-            blocks.append((term.columns, free, 0.0 if term.positive else -free))
-        for g in groups:
-            columns = view.discrepancy[:, self.groups[g]]
-            blocks.append((columns, self.posterior.discrepancy_sd(g), -free))
-        widths = [columns.shape[1] for columns, _, _ in blocks]
-        matrix = np.hstack([columns for columns, _, _ in blocks])
-        sds = np.hstack(
-            [np.broadcast_to(sd, w) for (_, sd, _), w in zip(blocks, widths, strict=True)]
-        )
-        low = np.repeat([least for _, _, least in blocks], widths)
-        held = np.isfinite(sds)
-        prior = np.diag(1.0 / np.maximum(sds, 1e-300))[held]
+        known = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
+        sds = np.concatenate([anyway, np.repeat(known, widths[1:])])
+        prior = np.diag(1.0 / np.maximum(sds, 1e-300))[np.isfinite(sds)]
         values = bounded_least_squares(
-            np.vstack([(matrix.T * self._burst).T, prior]),
+            np.vstack([(np.hstack(blocks).T * self._burst).T, prior]),
             np.concatenate([view.residual * self._burst, np.zeros(len(prior))]),
-            low,
+            np.repeat([-free, *signs, *(-free for _ in groups)], widths),
         )
         nuisances, *parts = np.split(values, np.cumsum(widths)[:-1])
         sizes = {k: part * self.terms[k].unit for k, part in zip(chosen, parts, strict=False)}
@@ -910,7 +874,9 @@ def diagnose(
         remaining = []
     pieces = compared_pieces(at.model.rows, before, after)
     disagreement = disagreement_table(pieces)["over_all"]["used"]
-    if denied or not _closes(disagreement):
+    # Otherwise it would be an accident of a fit that is far from what was recorded.
+    least = max(CLOSED * disagreement["before"], EXCESS * disagreement["noise_floor"])
+    if denied or disagreement["after"] >= least:
         named_sets, estimates, learned = [], {}, None
         pieces = compared_pieces(at.model.rows, before, before)
         disagreement = disagreement_table(pieces)["over_all"]["used"]
@@ -959,12 +925,6 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
             "direction. A balancer that the bench lacks may look the same. Give gravity in the "
             "bench file, if it is that."
         )
-
-
-def _closes(used: DisagreementSummary) -> bool:
-    """Whether what is told explains anything to speak of: it would be an accident of a fit that is
-    far from what was recorded."""
-    return used["after"] < max(CLOSED * used["before"], EXCESS * used["noise_floor"])
 
 
 def _named(

@@ -43,7 +43,6 @@ from bayesbl.diagnosis.inference import (
     Rows,
     Series,
     candidate_of,
-    least_squares,
 )
 from bayesbl.diagnosis.rigid.motion import (
     END_PERIODS,
@@ -81,6 +80,7 @@ from bayesbl.diagnosis.task import (
 )
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import NAMED_AT
+from bayesbl.model_search.linear import least_squares
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.repairs import widened
 from bayesbl.recording.types import (

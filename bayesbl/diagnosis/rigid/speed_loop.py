@@ -37,7 +37,6 @@ from bayesbl.diagnosis.inference import (
     Look,
     Piece,
     Rows,
-    bounded_least_squares,
     compared_pieces,
     inferred,
 )
@@ -56,7 +55,7 @@ from bayesbl.diagnosis.task import (
     wanted,
 )
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.model_search.linear import MisfitBand
+from bayesbl.model_search.linear import MisfitBand, bounded_least_squares
 from bayesbl.model_search.residuals import Unexplained
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import is_one_speed, require_channels
