@@ -756,11 +756,6 @@ class Inference:
             total[own] += matrix @ values
         return np.asarray(total)
 
-    def nominal(self) -> FloatArray:
-        """Of every row, (N,): without any effect."""
-        without = self.model.without
-        return self.predicted(Coefficients(self.model.by_nuisances)) if without is None else without
-
     def discrepancy(self) -> FloatArray:
         """Of every row what nothing explains, averaged, (N,)."""
         total = np.zeros(self.model.base.size)
@@ -784,18 +779,6 @@ class Inference:
         """That one of some candidates is there, by their labels or their effects' names."""
         own = set(names)
         return self.posterior.probability(n for n, c in self.labels.items() if {n, c.name} & own)
-
-    def presence(self, group: int) -> float:
-        """Probability that a group of the discrepancy is there."""
-        return sum(
-            math.exp(m.log_posterior) for m in self.posterior.models if m.scales[group] > 0.0
-        )
-
-    def taken(self, group: int) -> float:
-        """χ² of a group's mean, as a share of the disagreement at the nominal fit."""
-        mean = self.draws.discrepancy[:, self.groups[group]].mean(axis=0)
-        signal = self.posterior.linearised.discrepancy[:, self.groups[group]] @ mean
-        return float(signal @ signal) / max(self.posterior.excess_chi_square, 1.0)
 
 
 def _of_waves(
@@ -868,7 +851,9 @@ def diagnose(
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
         (size,) = at.of_projection(fitted, label).values()
         estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
-    before, after = at.nominal(), at.predicted(fitted)
+    after, before = at.predicted(fitted), at.model.without
+    if before is None:
+        before = at.predicted(Coefficients(at.model.by_nuisances))
     denied = tuple(impossible(estimates))
     if denied:
         remaining = []
@@ -983,13 +968,18 @@ def _share(inference: Inference, label: str) -> float:
 
 
 def _learned_group(inference: Inference) -> int | None:
-    """The group of the discrepancy that is told: there almost surely, and no small share."""
-    sure = [
-        g
-        for g in range(len(inference.groups))
-        if inference.presence(g) >= NAMED_AT and inference.taken(g) > LEARNED_SHARE
-    ]
-    return max(sure, key=inference.taken, default=None)
+    """The group of the discrepancy that is told: there almost surely, and its mean no small share
+    of the disagreement at the nominal fit."""
+    posterior, sure = inference.posterior, dict[int, float]()
+    for group, columns in enumerate(inference.groups):
+        there = (m.log_posterior for m in posterior.models if m.scales[group] > 0.0)
+        if sum(map(math.exp, there)) >= NAMED_AT:
+            mean = inference.draws.discrepancy[:, columns].mean(axis=0)
+            signal = posterior.linearised.discrepancy[:, columns] @ mean
+            share = float(signal @ signal) / max(posterior.excess_chi_square, 1.0)
+            if share > LEARNED_SHARE:
+                sure[group] = share
+    return max(sure, key=lambda group: sure[group], default=None)
 
 
 def _effect(

@@ -153,23 +153,15 @@ class Turning:
         """Of the motor."""
         return abs(float(self.angle[-1] - self.angle[0])) / (2.0 * math.pi)
 
-    @property
-    def turns_per_s(self) -> float:
-        """Of the motor."""
-        return abs(self.speed_rad_per_s) / (2.0 * math.pi)
-
-    @property
-    def highest_order(self) -> float:
-        """That the sampling shows."""
-        return min(HIGHEST_ORDER, WIDEST / self.piece.period_s / self.turns_per_s)
-
     def part(self, rows: slice, use: Use) -> Turning:
         """Some samples of it, with a use of their own."""
         return replace(self, piece=self.piece.part(rows, use), angle=self.angle[rows], made={})
 
     def shows(self, order: float) -> bool:
         """Whether an order turns often enough, and not too fast for the sampling."""
-        return order < self.highest_order and order * self.turns >= FEWEST_CYCLES
+        per_sample = order * abs(self.speed_rad_per_s) / (2.0 * math.pi) * self.piece.period_s
+        is_sampled = order < HIGHEST_ORDER and per_sample < WIDEST
+        return is_sampled and order * self.turns >= FEWEST_CYCLES
 
     def _answer(self, order: float) -> FloatArray:
         """The loop's answer to cos n θ and sin n θ, 1 at the mean speed, shape (n, 2).
@@ -497,7 +489,7 @@ class LoopView:
         of_lines = {label: (slice(None), k) for label, (k, _) in self.laws.items()}
         of_lines |= {label: tuple(np.transpose(group)) for label, group in self.in_time.items()}
         for label, rows in of_lines.items():
-            name, (place, part) = label.split(",")[0], self.laws.get(label, (None, TORQUE))
+            name, (place, part) = label.rpartition(",")[0], self.laws.get(label, (None, TORQUE))
             made = np.zeros_like(lines.measured)
             made[rows] = np.where(lines.shown, powers[..., part], 0.0)[rows]
             usual = float(np.linalg.norm(lines.measured[rows]) / np.linalg.norm(made))
@@ -874,5 +866,5 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
         variances.append(variance)
         powers.append(np.abs(coefficients) ** 2 - 2.0 * variance)
     speeds = np.array([item.speed_rad_per_s for item in turning])
-    lasting = np.array([item.turns / item.turns_per_s for item in turning])
+    lasting = np.array([np.ptp(item.piece.time_s) for item in turning])
     return Lines(tuple(orders), speeds, np.array(powers), np.array(variances), lasting)
