@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, Protocol, Self, TypeVar
 
@@ -427,21 +427,21 @@ AnyView = TypeVar("AnyView", bound="Refinable")
 
 
 class Refinable(Protocol):
-    """What is affine around its present fit."""
+    """Recordings as an affine model around a fit."""
 
     @property
     def model(self) -> AffineModel:
-        """There."""
+        """Around the present fit."""
 
     def refined(self, inference: Inference) -> Self:
         """Around the fit that an inference gives, with finer shapes."""
 
 
 class View(Refinable, Protocol):
-    """Recordings and a bench, linearised."""
+    """Recordings and a bench, linearised, of which :func:`diagnose` tells what is missing."""
 
     @property
-    def pieces(self) -> tuple[Piece, ...]:
+    def rows(self) -> Rows:
         """What is compared."""
 
     def prepared(self) -> View:
@@ -523,8 +523,10 @@ class Inference:
         self._discrepancy = np.hstack(every)[used]
         ends = np.cumsum([columns.shape[1] for columns in every]).tolist()
         self.groups = [slice(*pair) for pair in pairwise(ends)]
-        by_ridge = partial(self._noise_beside_everything, [term.columns for term in terms])
-        self.noises = tuple(noises or model.noises or by_ridge())
+        noises = noises or model.noises
+        if noises is None:
+            noises = self._noise_beside_everything([term.columns for term in terms])
+        self.noises = tuple(noises)
         shown = [piece.shown for piece in pieces]
         pairs = list(zip(self.noises, shown, strict=True))
         strongest = {
@@ -576,14 +578,9 @@ class Inference:
         jacobian, discrepancy = counted(self._nuisances), counted(self._discrepancy)
         residual, d = counted(self._target), jacobian.shape[1]
         one_more = EXPECTED_HYPOTHESES / max(1, len({term.hypothesis for term in terms}))
-        weights = [
-            term.prior_weight * (one_more if term.source[0].holds_another else 1.0)
-            for term in terms
-        ]
-        terms = [
-            replace(term, columns=counted(term.columns), prior_weight=weight)
-            for term, weight in zip(terms, weights, strict=True)
-        ]
+        for k, term in enumerate(terms):
+            weight = term.prior_weight * (one_more if term.source[0].holds_another else 1.0)
+            terms[k] = replace(term, columns=counted(term.columns), prior_weight=weight)
         kinds = [d.kind for d in self.model.discrepancies]
         usual = DISCREPANCY_SHARE * self._level / self._shown_size
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
@@ -618,22 +615,18 @@ class Inference:
         sure = self.posterior.sure
         return tuple(tuple(n for n in self.labels if n in members) for members in sure)
 
-    def lookalikes(self, label: str) -> Iterator[str]:
+    def lookalikes(self, label: str) -> list[str]:
         """Candidates that differ from one by nothing in these recordings but nuisances."""
         view = self.posterior.linearised
-        basis = np.linalg.qr(view.jacobian / np.maximum(np.abs(view.jacobian).max(axis=0), _TINY))[
-            0
-        ]
-        own: dict[str, list[FloatArray]] = {}
-        for term in view.terms:
-            if term.columns.shape[1] == 1:
-                apart = term.columns[:, 0] - basis @ (basis.T @ term.columns[:, 0])
-                apart = apart / max(float(np.linalg.norm(apart)), _TINY)
-                own.setdefault(term.hypothesis, []).append(apart)
-        for other in own:
-            pairs = ((a, b) for a in own.get(label, []) for b in own[other])
-            if other != label and any(abs(float(a @ b)) > COLLINEAR for a, b in pairs):
-                yield other
+        terms = [term for term in view.terms if term.columns.shape[1] == 1]
+        scale = np.maximum(np.abs(view.jacobian).max(axis=0), _TINY)
+        basis, _ = np.linalg.qr(view.jacobian / scale)
+        columns = np.hstack([np.zeros((len(basis), 0)), *(term.columns for term in terms)])
+        apart = columns - basis @ (basis.T @ columns)
+        apart /= np.maximum(np.linalg.norm(apart, axis=0), _TINY)
+        own = np.array([term.hypothesis == label for term in terms], dtype=bool)
+        alike = np.any(np.abs(apart[:, own].T @ apart) > COLLINEAR, axis=0) & ~own
+        return [terms[k].hypothesis for k in np.flatnonzero(alike)]
 
     def values(self, label: str) -> dict[str, Estimate]:
         """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
@@ -800,7 +793,10 @@ def _of_waves(
 def inferred(
     view: AnyView, progress: StageProgress | None = None, rounds: int = ROUNDS
 ) -> tuple[AnyView, Inference]:
-    """A view around its best fit, and the posterior there."""
+    """A view around its best fit, and the posterior there.
+
+    ``rounds``: of inference, each but the first around the fit that the last one gives.
+    """
     inference = Inference(view.model)
     for done in range(1, rounds):
         if progress is not None:

@@ -303,20 +303,6 @@ class Lines:
         """The same with 0 where not shown."""
         return np.nan_to_num(self.power)
 
-    def in_time(self) -> list[list[tuple[int, int]]]:
-        """Recording and order of lines that have one frequency, each where it is strongest."""
-        signal = np.where(self.shown, self.measured / self.noise, -np.inf)
-        at = np.argmax(signal, axis=0)
-        hertz = np.asarray(self.orders) * np.abs(self.speeds[at]) / (2.0 * math.pi)
-        by_hertz = np.argsort(hertz)
-        apart = np.diff(hertz[by_hertz]) * self.lasting_s[at].min() >= 1.0
-        groups = np.split(by_hertz, np.flatnonzero(apart) + 1)
-        return [
-            [(int(at[k]), int(k)) for k in group]
-            for group in groups
-            if np.unique(at[group]).size > 1
-        ]
-
     def sd(self, power: FloatArray) -> FloatArray:
         """Standard deviation of a measured power where this is the true one, (r, m)."""
         return np.asarray(2.0 * np.sqrt(self.noise * (np.maximum(power, 0.0) + self.noise)))
@@ -379,8 +365,19 @@ class LoopView:
 
     @cached_property
     def in_time(self) -> dict[str, list[tuple[int, int]]]:
-        """Recordings and orders of every line in time, by label."""
-        return {f"{TIME}, {group[0][1]}": group for group in self.lines.in_time()}
+        """Lines that have one frequency, each at the recording where it is strongest and its order;
+        by label."""
+        lines = self.lines
+        at = np.argmax(np.where(lines.shown, lines.measured / lines.noise, -np.inf), axis=0)
+        hertz = np.asarray(lines.orders) * np.abs(lines.speeds[at]) / (2.0 * math.pi)
+        by_hertz = np.argsort(hertz)
+        apart = np.diff(hertz[by_hertz]) * lines.lasting_s[at].min() >= 1.0
+        groups = np.split(by_hertz, np.flatnonzero(apart) + 1)
+        return {
+            f"{TIME}, {group[0]}": [(int(at[k]), int(k)) for k in group]
+            for group in groups
+            if np.unique(at[group]).size > 1
+        }
 
     @cached_property
     def law_sizes(self) -> FloatArray:
