@@ -163,6 +163,24 @@ def test_an_error_of_the_angle_at_another_order_is_described_and_not_called_ripp
     assert any("error of the encoder" in note for note in found.notes)
 
 
+def test_a_change_of_the_loop_without_a_size_is_not_named(tmp_path: Path) -> None:
+    """Where no line follows a law of the catalogue, nothing shows how the loop answers."""
+    drive = Drive(angles=((2.0, 0.0019327130760249433, 5.604170449736185),), viscous=0.054)
+    found = diagnosed(tmp_path, drive, FAST_RPM, seed=146)
+    assert not found.effects
+    assert not found.parameter_errors
+
+
+def test_a_wrong_gain_beside_an_error_of_the_angle_leaves_the_torques_their_sizes(
+    tmp_path: Path,
+) -> None:
+    waves = ((12.0, 0.1284, 5.83339220009124), (18.0, 0.2742, 4.0278), (6.0, 0.1894, 2.7583))
+    drive = Drive(torques=waves, angles=((3.0, 1.8169e-3, 5.478),), integral_gain=2.5622)
+    named = ripples(diagnosed(tmp_path, drive, SLOW_RPM, EXACT, seed=132))
+    for order, torque, _ in waves:
+        assert named[order] == pytest.approx(torque, rel=0.1)
+
+
 def test_a_line_at_one_frequency_is_periodic_in_time(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, Drive(hum=(50.0, 0.03)), (300.0, 570.0, 800.0, -1100.0), seed=2)
     assert not found.effects
