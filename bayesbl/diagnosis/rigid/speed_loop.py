@@ -444,18 +444,18 @@ class LoopView:
 
     @cached_property
     def rows(self) -> Rows:
-        """A piece for each order, over the recordings."""
+        """A piece for each order that shows, over the recordings."""
         lines, each = self.lines, np.arange(float(self.lines.speeds.size))
         pieces = []
-        for k, order in enumerate(lines.orders):
+        for k in np.flatnonzero(lines.shown.any(axis=0)):
             measured, excluded = (lines.measured / self.sd)[:, k], ~lines.shown[:, k]
-            name = f"order {order:.5g}"
+            name = f"order {lines.orders[k]:.5g}"
             pieces.append(Piece(name, MOTOR_SPEED, "used", each, measured, excluded))
         return Rows(tuple(pieces))
 
     def _counted(self, power: FloatArray) -> FloatArray:
         """Powers, (r, m), as the rows count them, (N,)."""
-        return self.rows.stack(lambda k: (power / self.sd)[:, k])
+        return np.asarray((power / self.sd).T[self.lines.shown.T])
 
     @cached_property
     def model(self) -> AffineModel:
@@ -489,6 +489,8 @@ class LoopView:
             name, (place, part) = label.rpartition(",")[0], self.laws.get(label, (None, TORQUE))
             made = np.zeros_like(lines.measured)
             made[rows] = np.where(lines.shown, powers[..., part], 0.0)[rows]
+            if not made.any():
+                continue
             usual = float(np.linalg.norm(lines.measured[rows]) / np.linalg.norm(made))
             alone = place is None or lines.orders[place] != 1.0
             others = frozenset(o for o, (k, _) in self.laws.items() if k == place and o != label)
@@ -524,6 +526,14 @@ class LoopView:
                 looks.append(Look({}, column, 1.0 / len(tried), usual))
             kind: Literal["effect", "parameter"] = "effect" if effect else "parameter"
             yield Candidate(name, kind, name, ("size",), tuple(looks), 1.0, effect)
+
+    def alone(self, named: frozenset[str]) -> LoopView:
+        """Around the same loop with these hypotheses and the lines that have a law of them."""
+        places = [self.laws[label][0] for label in named if label in self.laws]
+        unnamed = ~np.isin(np.arange(len(self.lines.orders)), places)
+        lines = replace(self.lines, power=np.where(unnamed, np.nan, self.lines.power))
+        sizes = {label: size for label, size in self.sizes.items() if label in named}
+        return replace(self, lines=lines, sizes=sizes, named=named)
 
     def refined(self, inference: Inference) -> LoopView:
         """Around the most probable set."""
@@ -703,7 +713,9 @@ class Setting:
         firsts = {members[0] for members in named}
         every = inference.labels.items()
         both = {label for label, c in every if c.name == BETWEEN and c.requires <= firsts}
-        fit, told = inferred(replace(sought, named=frozenset(firsts | both)))
+        fit, told = replace(sought, sizes={}), inference
+        if named:
+            fit, told = inferred(sought.alone(frozenset(firsts | both)))
         if (again := self._by_true_angle(fit)) is not None:
             return again.diagnosis()
         effects, errors = list[NamedEffect](), list[ParameterError]()
@@ -745,7 +757,7 @@ class Setting:
         self, view: LoopView, inference: Inference, notes: list[str]
     ) -> list[tuple[str, ...]]:
         """Sets that are named, the loop's last and the largest line first; no error of the angle
-        but at order 1 is."""
+        but at order 1 is, and none of the loop without a line that shows how it answers."""
         power, labels = np.nanmax(view.lines.power, axis=0), inference.labels
         laws, loop = list[tuple[str, ...]](), list[tuple[str, ...]]()
         for every in inference.sure:
@@ -764,7 +776,7 @@ class Setting:
                 notes.append(note.format(order=order, size_mrad=1e3 * size.value))
         laws.sort(key=lambda members: -power[view.laws[members[0]][0]])
         most = self.task.config.candidates.max_effects or MOST_EFFECTS
-        return laws[: max(0, most - len(loop))] + loop
+        return (laws[: max(1, most - len(loop))] + loop)[:most] if laws else []
 
     def _by_true_angle(self, fit: LoopView) -> Setting | None:
         """The same over the angle without the encoder's error, once it is named beside torques.
