@@ -181,9 +181,13 @@ def test_a_wrong_gain_beside_an_error_of_the_angle_leaves_the_torques_their_size
         assert named[order] == pytest.approx(torque, rel=0.1)
 
 
-def test_a_line_at_one_frequency_is_periodic_in_time(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, Drive(hum=(50.0, 0.03)), (300.0, 570.0, 800.0, -1100.0), seed=2)
-    assert not found.effects
+@pytest.mark.parametrize("torques", [(), ((2.0, 0.15, 4.9),)])
+def test_a_line_at_one_frequency_is_periodic_in_time(
+    tmp_path: Path, torques: tuple[tuple[float, float, float], ...]
+) -> None:
+    drive = Drive(hum=(50.0, 0.03), torques=torques)
+    found = diagnosed(tmp_path, drive, (300.0, 570.0, 800.0, -1100.0), seed=2)
+    assert list(ripples(found)) == [order for order, *_ in torques]
     (line,) = found.remaining
     assert line.dependence == "time"
     assert line.frequency_hz == pytest.approx(50.0, rel=1e-3)

@@ -739,7 +739,7 @@ class Setting:
             chance, z = inference.probability((first, *rivals)), abs(size.value) / size.sd
             effects.append(NamedEffect(name, parameters, chance, z, others))
         remaining = []
-        for group in (fit.in_time[m[0]] for m in inference.sure if m[0] in fit.in_time):
+        for group in (sought.in_time[m[0]] for m in inference.sure if m[0] in sought.in_time):
             remaining.append(self._unexplained(lines, group))
             unnamed -= {k for _, k in group}
         remaining += [self._unexplained(lines, [(-1, k)]) for k in sorted(unnamed)]
