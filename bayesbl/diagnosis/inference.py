@@ -391,8 +391,8 @@ DRAWS = 1000
 """Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
 
 DISCREPANCY_SHARE = 0.1
-"""Of the root mean square of what is compared, that a smooth torque usually has which no law of the
-catalogue holds."""
+"""Of the root mean square of what is compared, that usually has no law of the catalogue: a smooth
+torque, or a share of a line's power, as no loop is quite as its equation."""
 
 EXCESS = 3.4
 """Of what a bench leaves over the noise floor, up to which it is taken for noise. Slower noise, and
