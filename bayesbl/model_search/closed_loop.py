@@ -374,7 +374,7 @@ class SetSearch:
         if rest.explains:
             return rest
         explanation = explanation.with_derivatives()
-        view = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation)
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
@@ -435,7 +435,7 @@ class SetSearch:
         if is_known:
             self._explored.add(keys)
         explanation = base.explanation.with_derivatives()
-        view = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation)
         offset = base.log_evidence - base.posterior.log_evidence
         labels = {c.label for c in self._candidates.values()}
         posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
@@ -462,11 +462,6 @@ class SetSearch:
             fitted = refit(explanation, starts, shift)
             if fitted is not None:
                 self._add(fitted, base)
-
-    def _open(self, base: Explanation) -> list[Candidate]:
-        """What may stand beside a set."""
-        every = self._candidates.values()
-        return [c for c in every if not any(own.bars(c) for own in base.candidates)]
 
     def _add(self, explanation: Explanation, base: FittedSet | None = None) -> FittedSet:
         """A set with its evidence; the better one of two fits.
@@ -497,11 +492,13 @@ class SetSearch:
         own.log_evidence += log_odds(self._probability) * len(explanation.candidates)
         return own
 
-    def _linearised(self, explanation: Explanation, candidates: Sequence[Candidate]) -> Linearised:
-        """The view at a fit: terms of candidates, each from one of its starts."""
+    def _linearised(self, explanation: Explanation) -> Linearised:
+        """The view at a fit: terms of all that may stand beside it, each from one of its starts."""
         terms: list[Term] = []
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
-        for candidate in candidates:
+        for candidate in self._candidates.values():
+            if any(own.bars(candidate) for own in explanation.candidates):
+                continue
             starts = (candidate.neutral, *candidate.starts)
             by_start = self._columns(explanation.fit, candidate, simulated)
             for start, columns in zip(starts, by_start, strict=True):

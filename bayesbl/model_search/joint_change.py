@@ -169,24 +169,6 @@ class JointFindings:
         return {c.recording for c in self.changed if c.slot == slot} >= set(self.recordings)
 
 
-@dataclass(frozen=True, slots=True)
-class ElasticPart:
-    """A part that the recordings speak for.
-
-    Attributes
-    ----------
-    fit
-        With it in the bench at its most probable values, and the unknowns of the nominal fit.
-    directions
-        Its own values, to be marginalised: of what swings behind it the recordings say little, and
-        that moves δ little.
-    """
-
-    fit: SimulatedFit
-    directions: tuple[Direction, ...]
-    added: AddedPart
-
-
 def elastic_parts(
     fit: SimulatedFit, among: Sequence[Direction]
 ) -> tuple[tuple[FittedSet, float], ...]:
@@ -202,11 +184,15 @@ def elastic_parts(
     return SetSearch(Explanation((), fit), lambda _: parts, 1, among).sets
 
 
-def with_part(nominal: SimulatedFit, explanation: Explanation, probability: float) -> ElasticPart:
-    """A fitted part put into the bench, its values as directions of their flat priors.
+def with_part(
+    nominal: SimulatedFit, explanation: Explanation, probability: float
+) -> tuple[SimulatedFit, tuple[Direction, ...], AddedPart]:
+    """A fitted part put into the bench at its most probable values: the fit with the unknowns of
+    the nominal one, and the values as directions of their flat priors, to be marginalised.
 
-    Laws and drift that stood in for it in the fit are linear again beside it, as they are next to
-    nothing then: a lag of microseconds is what the simulator is slowest with.
+    Of what swings behind a part the recordings say little, and that moves δ little. Laws and drift
+    that stood in for it in the fit are linear again beside it, as they are next to nothing then: a
+    lag of microseconds is what the simulator is slowest with.
     """
     (part,) = explanation.candidates
     places, own = explanation.places(part), nominal.point.size
@@ -239,7 +225,7 @@ def with_part(nominal: SimulatedFit, explanation: Explanation, probability: floa
         for u, value, sd in zip(part.unknowns, values.values(), sds, strict=True)
     )
     added = AddedPart(part.name, _frequency_hz(bench, part.name, values), probability, fitted)
-    return ElasticPart(alone, directions, added)
+    return alone, directions, added
 
 
 def _frequency_hz(bench: Bench, name: str, values: Mapping[str, float]) -> float:

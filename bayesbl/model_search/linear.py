@@ -48,6 +48,9 @@ from bayesbl.sampling.importance import normal_between
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 GIBBS_SWEEPS = 25
+DEPENDENT = 1e-8
+"""Share of its own length that a column must have apart from the others, to be fitted."""
+
 EVEN: Mapping[str, float] = MappingProxyType({})
 """Prior probabilities of hypotheses, even over all."""
 
@@ -896,18 +899,30 @@ def _smallest_cover(
 
 def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:
     """Most probable sizes with their signs."""
-    if not right.size:
-        return right
+    root = _root(precision)
+    along = np.asarray(np.linalg.solve(root, right), dtype=float)
+    return bounded_least_squares(root.T, along, np.where(positive, 0.0, -np.inf))
+
+
+def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """x of the least ‖target − matrix x‖, shape (p,), with columns of any unit, (n, p)."""
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=DEPENDENT)[0] / scale)
+
+
+def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArray) -> FloatArray:
+    """The same with every x at least as large as ``low``, (p,): zero, or minus infinity."""
     from scipy.optimize import lsq_linear
 
-    free = np.linalg.solve(precision, right)
-    if np.all(free[positive] >= 0.0):
-        return np.asarray(free)
-    lower = np.where(positive, 0.0, -np.inf)
-    root = np.linalg.cholesky(precision).T
-    return np.asarray(
-        lsq_linear(root, np.linalg.solve(root.T, right), (lower, np.inf)).x, dtype=float
-    )
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    free = least_squares(matrix, target)
+    if np.all(free >= low):
+        return free
+    whole = np.column_stack([matrix / scale, target])
+    root = np.asarray(np.linalg.qr(whole, mode="r"), dtype=float)
+    return np.asarray(lsq_linear(root[:, :-1], root[:, -1], (low, np.inf)).x / scale)
 
 
 def _truncated(

@@ -217,11 +217,11 @@ def fit_jointly(
         sets = () if moving else elastic_parts(rest.fit, among)
         for best, probability in sets[:1]:
             if best.explanation.candidates:
-                part = with_part(nominal, best.explanation, probability)
-                wider = [*among, *part.directions]
-                own = settled(part.fit, wider, allowing)
+                fit, own_values, part = with_part(nominal, best.explanation, probability)
+                wider = [*among, *own_values]
+                own = settled(fit, wider, allowing)
                 if own.explains:
-                    joint = changed_beside(own.fit, wider, part.added)
+                    joint = changed_beside(own.fit, wider, part)
                     return JointFit(rest=own, others=sets[1:], joint=joint)
         others = [(own, p) for own, p in sets if own.explanation.candidates]
         others += rival_loops(rest, among, 1.0 - sum(p for _, p in others))
