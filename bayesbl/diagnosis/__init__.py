@@ -4,6 +4,6 @@ A :class:`~bayesbl.diagnosis.task.Task` goes in, a :class:`~bayesbl.diagnosis.di
 comes out, by one of :data:`bayesbl.runs.diagnose.METHODS`. ``closed_loop`` simulates a
 two-mass bench beside speed and current. ``rigid`` has the views of a rigid bench: ``inverse``
 compares measured motion with the torque it should have needed, ``free_motion`` a joint let go
-without torque with its simulation, both by ``inference``; ``speed_loop`` lines of the speed alone.
+without torque with its simulation, ``speed_loop`` lines of the speed alone; all by ``inference``.
 ``groups`` stores and summarises any diagnosis.
 """

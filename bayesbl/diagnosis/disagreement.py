@@ -208,7 +208,7 @@ def _disagreement(parts: Sequence[tuple[ComparedPiece, float]], unit: str) -> Di
     """Of some pieces together, each multiplied by its factor."""
     size = sum(piece.residual.shape[1] for piece, _ in parts)
     before, after = (
-        sum(_squares(factor * piece.residual[k]) for piece, factor in parts) / size
+        sum(float(np.sum((factor * piece.residual[k]) ** 2)) for piece, factor in parts) / size
         for k in range(2)
     )
     floor = sum(p.residual.shape[1] * (factor * p.noise_floor) ** 2 for p, factor in parts) / size
@@ -223,10 +223,6 @@ def _disagreement(parts: Sequence[tuple[ComparedPiece, float]], unit: str) -> Di
         "closed_fraction": 1.0 - (after - floor) / excess if excess > SURE_EXCESS * error else None,
         "unit": unit,
     }
-
-
-def _squares(values: FloatArray) -> float:
-    return float(values @ values)
 
 
 def _inflation(residual: FloatArray) -> float:

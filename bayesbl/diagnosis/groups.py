@@ -24,7 +24,7 @@ import xarray as xr
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE, LearnedTerm, Side
 from bayesbl.bench.learned import Variable as LearnedVariable
 from bayesbl.config.bench import dump_bench
-from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, Verdict
 from bayesbl.diagnosis.disagreement import ComparedPiece, DisagreementTableSummary
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
@@ -172,7 +172,8 @@ def answer_of(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     if diagnosis.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
     if diagnosis.learned is not None:
-        learned = _learned(diagnosis.learned)
+        alike = [_dependence(other) for other in diagnosis.learned.alike]
+        learned = _dependence(diagnosis.learned.term) | {"alike": alike}
         if diagnosis.learned.term.is_of_encoder:
             learned["amplitude_rad"] = diagnosis.learned.amplitude
             answer["encoder_error"] = learned
@@ -182,11 +183,6 @@ def answer_of(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     if diagnosis.posterior is not None:
         answer["diagnostics"] = sampling_summary(diagnosis.posterior)
     return answer
-
-
-def _learned(learned: LearnedAnswer) -> Any:
-    """The keys of :class:`LearnedSummary` but the amplitude."""
-    return _dependence(learned.term) | {"alike": [_dependence(other) for other in learned.alike]}
 
 
 def _dependence(term: LearnedTerm) -> Any:

@@ -13,10 +13,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, Self, TypeVar
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw
@@ -32,22 +31,25 @@ from bayesbl.diagnosis.diagnosis import (
     ParameterError,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import (
-    ComparedPiece,
-    DisagreementSummary,
-    ResidualNoise,
-    Use,
-    disagreement_table,
-)
+from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, Use, disagreement_table
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
-from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Term, search
+from bayesbl.model_search.linear import (
+    DiscrepancyGroup,
+    Draws,
+    Linearised,
+    MisfitBand,
+    Term,
+    bounded_least_squares,
+    least_squares,
+    search,
+)
 from bayesbl.model_search.residuals import Unexplained, What
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.units import unit_of
 
-DEPENDENT = 1e-8
-"""Share of its own length that a column must have apart from the others, to be fitted."""
+MOST_TERMS = 8
+"""Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +184,8 @@ class Candidate:
         The amplitude has a sign.
     own_phase
         A wave with a sine and a cosine for every recording; with one for all where ``False``.
+    probability
+        Beforehand; ``None`` where it is as of any other.
     """
 
     label: str
@@ -196,6 +200,7 @@ class Candidate:
     excludes: frozenset[str] = frozenset()
     requires: frozenset[str] = frozenset()
     same_as: tuple[str, ...] = ()
+    probability: float | None = None
 
     @property
     def holds_another(self) -> bool:
@@ -295,7 +300,9 @@ class AffineModel:
 
     ``nuisances``: columns that are fitted anyway, (N,), by name. ``nuisance_sds``: of those of
     which something is known beforehand, around what the base has. ``without``: predictions of a fit
-    without any effect, (N,), where the base and the nuisances alone are none.
+    without any effect, (N,), where the base and the nuisances alone are none. ``bands``: rows in
+    which anything may be off. ``noises``: of every used piece, where known. ``most_terms``: of a
+    set.
     """
 
     rows: Rows
@@ -305,6 +312,9 @@ class AffineModel:
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
     without: FloatArray | None = None
+    bands: tuple[MisfitBand, ...] = ()
+    noises: Sequence[ResidualNoise] | None = None
+    most_terms: int = MOST_TERMS
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -327,25 +337,6 @@ class AffineModel:
     def columns(self, candidate: Candidate, look: Look) -> FloatArray:
         """Of a candidate, with a pair for every used recording where phases are their own."""
         return self.rows.by_recording(look.columns) if candidate.own_phase else look.columns
-
-
-def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
-    """x of the least ‖target − matrix x‖, shape (p,), with columns of any unit, (n, p)."""
-    scale = np.sqrt((matrix**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=DEPENDENT)[0] / scale)
-
-
-def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArray) -> FloatArray:
-    """The same with every x at least as large as ``low``, (p,): zero, or minus infinity."""
-    scale = np.sqrt((matrix**2).sum(axis=0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    free = least_squares(matrix, target)
-    if np.all(free >= low):
-        return free
-    whole = np.column_stack([matrix / scale, target])
-    root = np.asarray(np.linalg.qr(whole, mode="r"), dtype=float)
-    return np.asarray(lsq_linear(root[:, :-1], root[:, -1], (low, np.inf)).x / scale)
 
 
 SURE_PARAMETER = 3.0
@@ -400,8 +391,8 @@ DRAWS = 1000
 """Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
 
 DISCREPANCY_SHARE = 0.1
-"""Of the root mean square of what is compared, that a smooth torque usually has which no law of the
-catalogue holds."""
+"""Of the root mean square of what is compared, that usually has no law of the catalogue: a smooth
+torque, or a share of a line's power, as no loop is quite as its equation."""
 
 EXCESS = 3.4
 """Of what a bench leaves over the noise floor, up to which it is taken for noise. Slower noise, and
@@ -414,9 +405,6 @@ CLOSED = 0.9
 
 MOST_EFFECTS = 6
 """Named where a configuration does not say how many."""
-
-MOST_TERMS = 8
-"""Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
 
 NONE = 1e-6
 """Of its usual size: so small a size is none."""
@@ -435,22 +423,29 @@ _RIDGE_ROUNDS = 4
 _TINY = float(np.finfo(float).tiny)
 
 
-class View(Protocol):
-    """Recordings and a bench, linearised."""
+AnyView = TypeVar("AnyView", bound="Refinable")
 
-    @property
-    def pieces(self) -> tuple[Piece, ...]:
-        """What is compared."""
+
+class Refinable(Protocol):
+    """Recordings as an affine model around a fit."""
 
     @property
     def model(self) -> AffineModel:
         """Around the present fit."""
 
+    def refined(self, inference: Inference) -> Self:
+        """Around the fit that an inference gives, with finer shapes."""
+
+
+class View(Refinable, Protocol):
+    """Recordings and a bench, linearised, of which :func:`diagnose` tells what is missing."""
+
+    @property
+    def rows(self) -> Rows:
+        """What is compared."""
+
     def prepared(self) -> View:
         """Around a first fit."""
-
-    def refined(self, inference: Inference) -> View:
-        """Around the fit that an inference gives, with finer shapes."""
 
     def settled(self, labels: Sequence[str]) -> View:
         """Around the fit with these candidates and no other; itself where that is linear."""
@@ -528,18 +523,19 @@ class Inference:
         self._discrepancy = np.hstack(every)[used]
         ends = np.cumsum([columns.shape[1] for columns in every]).tolist()
         self.groups = [slice(*pair) for pair in pairwise(ends)]
+        noises = noises or model.noises
         if noises is None:
             noises = self._noise_beside_everything([term.columns for term in terms])
         self.noises = tuple(noises)
         shown = [piece.shown for piece in pieces]
-        pairs = list(zip(noises, shown, strict=True))
+        pairs = list(zip(self.noises, shown, strict=True))
         strongest = {
             alike: max(self._rounding, *(noise.strongest for noise, s in pairs if s == alike))
             for alike in set(shown)
         }
         self._shown_size = strongest[True]
         even = np.repeat([strongest[alike] for alike in shown], lengths)
-        self.sizes = np.maximum(np.concatenate([noise.local for noise in noises]), even)
+        self.sizes = np.maximum(np.concatenate([noise.local for noise in self.noises]), even)
         self._burst = self.sizes / even
         self._search(terms)
 
@@ -582,24 +578,24 @@ class Inference:
         jacobian, discrepancy = counted(self._nuisances), counted(self._discrepancy)
         residual, d = counted(self._target), jacobian.shape[1]
         one_more = EXPECTED_HYPOTHESES / max(1, len({term.hypothesis for term in terms}))
-        weights = [
-            term.prior_weight * (one_more if term.source[0].holds_another else 1.0)
-            for term in terms
-        ]
-        terms = [
-            replace(term, columns=counted(term.columns), prior_weight=weight)
-            for term, weight in zip(terms, weights, strict=True)
-        ]
+        for k, term in enumerate(terms):
+            weight = term.prior_weight * (one_more if term.source[0].holds_another else 1.0)
+            terms[k] = replace(term, columns=counted(term.columns), prior_weight=weight)
         kinds = [d.kind for d in self.model.discrepancies]
         usual = DISCREPANCY_SHARE * self._level / self._shown_size
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
         sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
-        linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
-        self.posterior = search(linearised, MOST_TERMS)
-        draws = self.posterior.draw(np.random.default_rng(0), DRAWS)
-        self.nuisance_draws = draws.fitted
-        self.discrepancy_draws = draws.discrepancy
+        linearised = Linearised(
+            residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups, self.model.bands
+        )
+        own = {c.label: c.probability for c in self.model.candidates if c.probability is not None}
+        self.posterior = search(linearised, self.model.most_terms, own)
+
+    @cached_property
+    def draws(self) -> Draws:
+        """Of the posterior."""
+        return self.posterior.draw(np.random.default_rng(0), DRAWS)
 
     # What is asked of it
 
@@ -619,22 +615,18 @@ class Inference:
         sure = self.posterior.sure
         return tuple(tuple(n for n in self.labels if n in members) for members in sure)
 
-    def lookalikes(self, label: str) -> Iterator[str]:
+    def lookalikes(self, label: str) -> list[str]:
         """Candidates that differ from one by nothing in these recordings but nuisances."""
         view = self.posterior.linearised
-        basis = np.linalg.qr(view.jacobian / np.maximum(np.abs(view.jacobian).max(axis=0), _TINY))[
-            0
-        ]
-        own: dict[str, list[FloatArray]] = {}
-        for term in view.terms:
-            if term.columns.shape[1] == 1:
-                apart = term.columns[:, 0] - basis @ (basis.T @ term.columns[:, 0])
-                apart = apart / max(float(np.linalg.norm(apart)), _TINY)
-                own.setdefault(term.hypothesis, []).append(apart)
-        for other in own:
-            pairs = ((a, b) for a in own.get(label, []) for b in own[other])
-            if other != label and any(abs(float(a @ b)) > COLLINEAR for a, b in pairs):
-                yield other
+        terms = [term for term in view.terms if term.columns.shape[1] == 1]
+        scale = np.maximum(np.abs(view.jacobian).max(axis=0), _TINY)
+        basis, _ = np.linalg.qr(view.jacobian / scale)
+        columns = np.hstack([np.zeros((len(basis), 0)), *(term.columns for term in terms)])
+        apart = columns - basis @ (basis.T @ columns)
+        apart /= np.maximum(np.linalg.norm(apart, axis=0), _TINY)
+        own = np.array([term.hypothesis == label for term in terms], dtype=bool)
+        alike = np.any(np.abs(apart[:, own].T @ apart) > COLLINEAR, axis=0) & ~own
+        return [terms[k].hypothesis for k in np.flatnonzero(alike)]
 
     def values(self, label: str) -> dict[str, Estimate]:
         """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
@@ -670,20 +662,20 @@ class Inference:
 
     def nuisance(self, name: str) -> Estimate:
         """A nuisance by name."""
-        draws = self.nuisance_draws[:, self.model.names.index(name)]
+        draws = self.draws.fitted[:, self.model.names.index(name)]
         return Estimate(float(draws.mean()), float(draws.std()))
 
     @property
     def average(self) -> Coefficients:
         """Of everything, over the posterior."""
         return Coefficients(
-            self.nuisance_draws.mean(axis=0),
+            self.draws.fitted.mean(axis=0),
             {
                 k: weight @ mean * self.terms[k].unit
                 for k, (weight, mean, _) in self.posterior.sizes.items()
             },
             {
-                g: self.discrepancy_draws[:, group].mean(axis=0)
+                g: self.draws.discrepancy[:, group].mean(axis=0)
                 for g, group in enumerate(self.groups)
             },
         )
@@ -697,28 +689,19 @@ class Inference:
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
+        terms = [view.terms[k] for k in chosen]
+        learned = [view.discrepancy[:, self.groups[g]] for g in groups]
+        blocks = [view.jacobian, *(term.columns for term in terms), *learned]
+        widths = [block.shape[1] for block in blocks]
+        signs = [0.0 if term.positive else -free for term in terms]
         anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
-        blocks: list[tuple[FloatArray, float | Sequence[float], float]] = [
-            (view.jacobian, anyway, -free)
-        ]
-        for k in chosen:
-            term = view.terms[k]
-            blocks.append((term.columns, free, 0.0 if term.positive else -free))
-        for g in groups:
-            columns = view.discrepancy[:, self.groups[g]]
-            blocks.append((columns, self.posterior.discrepancy_sd(g), -free))
-        widths = [columns.shape[1] for columns, _, _ in blocks]
-        matrix = np.hstack([columns for columns, _, _ in blocks])
-        sds = np.hstack(
-            [np.broadcast_to(sd, w) for (_, sd, _), w in zip(blocks, widths, strict=True)]
-        )
-        low = np.repeat([least for _, _, least in blocks], widths)
-        held = np.isfinite(sds)
-        prior = np.diag(1.0 / np.maximum(sds, 1e-300))[held]
+        known = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
+        sds = np.concatenate([anyway, np.repeat(known, widths[1:])])
+        prior = np.diag(1.0 / np.maximum(sds, 1e-300))[np.isfinite(sds)]
         values = bounded_least_squares(
-            np.vstack([(matrix.T * self._burst).T, prior]),
+            np.vstack([(np.hstack(blocks).T * self._burst).T, prior]),
             np.concatenate([view.residual * self._burst, np.zeros(len(prior))]),
-            low,
+            np.repeat([-free, *signs, *(-free for _ in groups)], widths),
         )
         nuisances, *parts = np.split(values, np.cumsum(widths)[:-1])
         sizes = {k: part * self.terms[k].unit for k, part in zip(chosen, parts, strict=False)}
@@ -766,11 +749,6 @@ class Inference:
             total[own] += matrix @ values
         return np.asarray(total)
 
-    def nominal(self) -> FloatArray:
-        """Of every row, (N,): without any effect."""
-        without = self.model.without
-        return self.predicted(Coefficients(self.model.by_nuisances)) if without is None else without
-
     def discrepancy(self) -> FloatArray:
         """Of every row what nothing explains, averaged, (N,)."""
         total = np.zeros(self.model.base.size)
@@ -778,8 +756,10 @@ class Inference:
             total += self.model.discrepancies[g].columns @ size
         return total
 
-    def residual_noise(self) -> list[ResidualNoise]:
-        """Of what the average over the posterior leaves of every used piece."""
+    def residual_noise(self) -> Sequence[ResidualNoise]:
+        """Of what the average over the posterior leaves of every used piece, unless it is known."""
+        if self.model.noises is not None:
+            return self.model.noises
         rows = self.model.rows
         residual = rows.measured - self.predicted(self.average)
         return [
@@ -792,18 +772,6 @@ class Inference:
         """That one of some candidates is there, by their labels or their effects' names."""
         own = set(names)
         return self.posterior.probability(n for n, c in self.labels.items() if {n, c.name} & own)
-
-    def presence(self, group: int) -> float:
-        """Probability that a group of the discrepancy is there."""
-        return sum(
-            math.exp(m.log_posterior) for m in self.posterior.models if m.scales[group] > 0.0
-        )
-
-    def taken(self, group: int) -> float:
-        """χ² of a group's mean, as a share of the disagreement at the nominal fit."""
-        mean = self.discrepancy_draws[:, self.groups[group]].mean(axis=0)
-        signal = self.posterior.linearised.discrepancy[:, self.groups[group]] @ mean
-        return float(signal @ signal) / max(self.posterior.excess_chi_square, 1.0)
 
 
 def _of_waves(
@@ -822,12 +790,17 @@ def _of_waves(
     return made
 
 
-def inferred(view: View, progress: StageProgress | None = None) -> tuple[View, Inference]:
-    """A view around its best fit, and the posterior there."""
+def inferred(
+    view: AnyView, progress: StageProgress | None = None, rounds: int = ROUNDS
+) -> tuple[AnyView, Inference]:
+    """A view around its best fit, and the posterior there.
+
+    ``rounds``: of inference, each but the first around the fit that the last one gives.
+    """
     inference = Inference(view.model)
-    for done in range(1, ROUNDS):
+    for done in range(1, rounds):
         if progress is not None:
-            progress("Comparing sets of effects", done, ROUNDS)
+            progress("Comparing sets of effects", done, rounds)
         noises = inference.residual_noise()
         view = view.refined(inference)
         inference = Inference(view.model, noises)
@@ -874,13 +847,17 @@ def diagnose(
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
         (size,) = at.of_projection(fitted, label).values()
         estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
-    before, after = at.nominal(), at.predicted(fitted)
+    after, before = at.predicted(fitted), at.model.without
+    if before is None:
+        before = at.predicted(Coefficients(at.model.by_nuisances))
     denied = tuple(impossible(estimates))
     if denied:
         remaining = []
     pieces = compared_pieces(at.model.rows, before, after)
     disagreement = disagreement_table(pieces)["over_all"]["used"]
-    if denied or not _closes(disagreement):
+    # Otherwise it would be an accident of a fit that is far from what was recorded.
+    least = max(CLOSED * disagreement["before"], EXCESS * disagreement["noise_floor"])
+    if denied or disagreement["after"] >= least:
         named_sets, estimates, learned = [], {}, None
         pieces = compared_pieces(at.model.rows, before, before)
         disagreement = disagreement_table(pieces)["over_all"]["used"]
@@ -929,12 +906,6 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
             "direction. A balancer that the bench lacks may look the same. Give gravity in the "
             "bench file, if it is that."
         )
-
-
-def _closes(used: DisagreementSummary) -> bool:
-    """Whether what is told explains anything to speak of: it would be an accident of a fit that is
-    far from what was recorded."""
-    return used["after"] < max(CLOSED * used["before"], EXCESS * used["noise_floor"])
 
 
 def _named(
@@ -993,13 +964,18 @@ def _share(inference: Inference, label: str) -> float:
 
 
 def _learned_group(inference: Inference) -> int | None:
-    """The group of the discrepancy that is told: there almost surely, and no small share."""
-    sure = [
-        g
-        for g in range(len(inference.groups))
-        if inference.presence(g) >= NAMED_AT and inference.taken(g) > LEARNED_SHARE
-    ]
-    return max(sure, key=inference.taken, default=None)
+    """The group of the discrepancy that is told: there almost surely, and its mean no small share
+    of the disagreement at the nominal fit."""
+    posterior, sure = inference.posterior, dict[int, float]()
+    for group, columns in enumerate(inference.groups):
+        there = (m.log_posterior for m in posterior.models if m.scales[group] > 0.0)
+        if sum(map(math.exp, there)) >= NAMED_AT:
+            mean = inference.draws.discrepancy[:, columns].mean(axis=0)
+            signal = posterior.linearised.discrepancy[:, columns] @ mean
+            share = float(signal @ signal) / max(posterior.excess_chi_square, 1.0)
+            if share > LEARNED_SHARE:
+                sure[group] = share
+    return max(sure, key=lambda group: sure[group], default=None)
 
 
 def _effect(
@@ -1067,7 +1043,7 @@ def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> Le
     series = inference.model.discrepancies[group].series
     if series is None:
         return None
-    draws = inference.discrepancy_draws[:, inference.groups[group]]
+    draws = inference.draws.discrepancy[:, inference.groups[group]]
     term = series.torque(fitted.discrepancy[group], draws.std(axis=0))
     low, high = series.reach
     if high - low > term.period:

@@ -68,7 +68,7 @@ def by_search(
     scale_sd
         Relative standard deviation of a factor that all torques have in common.
     """
-    method, channel = task.config.comparison.method, view.pieces[0].channel
+    method, channel = task.config.comparison.method, view.rows.pieces[0].channel
     most = task.config.candidates.max_effects or MOST_EFFECTS
     return Comparison(
         f"{method}, {channel}; candidates {', '.join(candidates)}",

@@ -233,7 +233,10 @@ def candidates(
 
 def _plain(bench: Bench, effect: Effect) -> Candidate:
     sought = [p for p in parameters_on(bench, effect) if effect.sought_alone in (None, p.name)]
-    unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
+    lowest = [p.low if p.sought_from is None else p.sought_from for p in sought]
+    unknowns = tuple(
+        _unknown(effect, p, low, p.high) for p, low in zip(sought, lowest, strict=True)
+    )
     neutral = np.array([p.neutral for p in sought])
     candidate = Candidate(
         effect.name,
@@ -310,13 +313,6 @@ def _ranges_around(
 def _usual(parameters: Sequence[EffectParameter]) -> FloatArray:
     """Usual sizes of an effect's amplitudes on a bench."""
     return np.array([abs(p.typical) if p.is_amplitude else math.nan for p in parameters])
-
-
-def _lowest(parameter: EffectParameter) -> float:
-    """Lower end of the search range."""
-    if parameter.sought_from is not None:
-        return parameter.sought_from
-    return parameter.low
 
 
 def _periodic(

@@ -385,7 +385,7 @@ class SetSearch:
         if linear_fit.explains:
             return linear_fit
         explanation = explanation.with_derivatives()
-        view = self._linearised(explanation, self._compatible(explanation))
+        view = self._linearised(explanation)
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
@@ -450,7 +450,7 @@ class SetSearch:
         if is_known:
             self._explored.add(keys)
         explanation = base.explanation.with_derivatives()
-        view = self._linearised(explanation, self._compatible(explanation))
+        view = self._linearised(explanation)
         offset = base.log_evidence - base.posterior.log_evidence
         labels = {c.label for c in self._candidates.values()}
         posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
@@ -484,11 +484,6 @@ class SetSearch:
             if fitted is not None:
                 self._add(fitted, base)
 
-    def _compatible(self, base: Explanation) -> list[Candidate]:
-        """Candidates that may be added to a set."""
-        candidates = self._candidates.values()
-        return [c for c in candidates if not any(member.bars(c) for member in base.candidates)]
-
     def _add(self, explanation: Explanation, base: FittedSet | None = None) -> FittedSet:
         """Add a set with its evidence; of two fits, keep the better.
 
@@ -519,11 +514,13 @@ class SetSearch:
         fitted.log_evidence += log_odds(self._probability) * len(explanation.candidates)
         return fitted
 
-    def _linearised(self, explanation: Explanation, candidates: Sequence[Candidate]) -> Linearised:
-        """The view at a fit: one term for each candidate and start."""
+    def _linearised(self, explanation: Explanation) -> Linearised:
+        """The view at a fit: one term for each compatible candidate and start."""
         terms: list[Term] = []
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
-        for candidate in candidates:
+        for candidate in self._candidates.values():
+            if any(member.bars(candidate) for member in explanation.candidates):
+                continue
             starts = (candidate.neutral, *candidate.starts)
             by_start = self._columns(explanation.fit, candidate, simulated)
             for start, columns in zip(starts, by_start, strict=True):

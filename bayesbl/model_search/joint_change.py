@@ -170,24 +170,6 @@ class JointFindings:
         return {c.recording for c in self.changed if c.slot == slot} >= set(self.recordings)
 
 
-@dataclass(frozen=True, slots=True)
-class ElasticPart:
-    """An elastic part supported by the recordings.
-
-    Attributes
-    ----------
-    fit
-        Fit of the nominal unknowns, with the part in the bench at its most probable values.
-    directions
-        The part's own values, to be marginalised. The recordings say little about the oscillating
-        inertia, which moves δ little.
-    """
-
-    fit: SimulatedFit
-    directions: tuple[Direction, ...]
-    added: AddedPart
-
-
 def elastic_parts(
     fit: SimulatedFit, nuisances: Sequence[Direction]
 ) -> tuple[tuple[FittedSet, float], ...]:
@@ -203,11 +185,15 @@ def elastic_parts(
     return SetSearch(Explanation((), fit), lambda _: parts, 1, nuisances).sets
 
 
-def with_part(nominal: SimulatedFit, explanation: Explanation, probability: float) -> ElasticPart:
-    """Put a fitted part into the bench, with its values as directions of their flat priors.
+def with_part(
+    nominal: SimulatedFit, explanation: Explanation, probability: float
+) -> tuple[SimulatedFit, tuple[Direction, ...], AddedPart]:
+    """Put a fitted part into the bench at its most probable values.
 
-    Laws and drift that replaced the part in the fit are linear again. They are nearly zero then,
-    and a lag of microseconds makes the simulator slowest.
+    Returns the fit of the nominal unknowns, and the part's values as directions of their flat
+    priors, to be marginalised. The recordings say little about the oscillating inertia, which moves
+    δ little. Laws and drift that replaced the part in the fit are linear again. They are nearly
+    zero then, and a lag of microseconds makes the simulator slowest.
     """
     (part,) = explanation.candidates
     indices, nominal_size = explanation.places(part), nominal.point.size
@@ -240,7 +226,7 @@ def with_part(nominal: SimulatedFit, explanation: Explanation, probability: floa
         for u, value, sd in zip(part.unknowns, values.values(), sds, strict=True)
     )
     added = AddedPart(part.name, _frequency_hz(bench, part.name, values), probability, fitted)
-    return ElasticPart(part_fit, directions, added)
+    return part_fit, directions, added
 
 
 def _frequency_hz(bench: Bench, name: str, values: Mapping[str, float]) -> float:

@@ -49,6 +49,9 @@ from bayesbl.sampling.importance import normal_between
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 GIBBS_SWEEPS = 25
+DEPENDENT = 1e-8
+"""Smallest component of a fitted column orthogonal to the others, relative to its length."""
+
 EVEN: Mapping[str, float] = MappingProxyType({})
 """No individual prior probabilities: all hypotheses are equally probable."""
 
@@ -935,18 +938,30 @@ def _smallest_cover(
 
 def _constrained_mode(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:
     """Most probable sizes with sign constraints."""
-    if not right.size:
-        return right
+    root = _cholesky(precision)
+    whitened = np.asarray(np.linalg.solve(root, right), dtype=float)
+    return bounded_least_squares(root.T, whitened, np.where(positive, 0.0, -np.inf))
+
+
+def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """x that minimises ‖target − matrix x‖, shape (p,); columns in any unit, (n, p)."""
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=DEPENDENT)[0] / scale)
+
+
+def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArray) -> FloatArray:
+    """The same with lower bounds ``low``, (p,), each zero or minus infinity."""
     from scipy.optimize import lsq_linear
 
-    unconstrained = np.linalg.solve(precision, right)
-    if np.all(unconstrained[positive] >= 0.0):
-        return np.asarray(unconstrained)
-    lower = np.where(positive, 0.0, -np.inf)
-    root = np.linalg.cholesky(precision).T
-    return np.asarray(
-        lsq_linear(root, np.linalg.solve(root.T, right), (lower, np.inf)).x, dtype=float
-    )
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    unconstrained = least_squares(matrix, target)
+    if np.all(unconstrained >= low):
+        return unconstrained
+    scaled = np.column_stack([matrix / scale, target])
+    root = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=float)
+    return np.asarray(lsq_linear(root[:, :-1], root[:, -1], (low, np.inf)).x / scale)
 
 
 def _truncated(

@@ -218,11 +218,11 @@ def fit_jointly(
         sets = () if moving else elastic_parts(linear_fit.fit, nuisances)
         for best, probability in sets[:1]:
             if best.explanation.candidates:
-                part = with_part(nominal, best.explanation, probability)
-                extended = [*nuisances, *part.directions]
-                part_fit = with_far_terms_freed(part.fit, extended, allowing)
+                fit, part_values, part = with_part(nominal, best.explanation, probability)
+                extended = [*nuisances, *part_values]
+                part_fit = with_far_terms_freed(fit, extended, allowing)
                 if part_fit.explains:
-                    joint = changes_at_fit(part_fit.fit, extended, part.added)
+                    joint = changes_at_fit(part_fit.fit, extended, part)
                     return JointFit(linear_fit=part_fit, others=sets[1:], joint=joint)
         others = [(entry, p) for entry, p in sets if entry.explanation.candidates]
         others += rival_loops(linear_fit, nuisances, 1.0 - sum(p for _, p in others))

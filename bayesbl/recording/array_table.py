@@ -501,6 +501,11 @@ _CLOCK = re.compile(
 )
 
 
+def is_called_time(name: str) -> bool:
+    """Whether a column's name says that it is a clock, and nothing else."""
+    return _CLOCK.fullmatch(name) is not None
+
+
 def table_of_groups(
     file: Path,
     groups: Sequence[Group],
@@ -535,7 +540,7 @@ def table_of_groups(
         stated = {name: unit for name, unit in group.units.items() if name in columns}
         units |= {full[name]: unit for name, unit in stated.items() if unit.strip()}
         withheld |= {full[name]: reason for name, reason in group.withheld.items()}
-        called = [name for name in columns if name != TIME and _CLOCK.fullmatch(name)]
+        called = [name for name in columns if name != TIME and is_called_time(name)]
         increasing = (
             n for n in called if columns[n].dtype.kind not in "iuf" or _increases(columns[n])
         )

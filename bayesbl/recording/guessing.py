@@ -11,7 +11,7 @@ import math
 import re
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -33,7 +33,7 @@ from bayesbl.recording.channels import (
     TIME,
 )
 from bayesbl.recording.columns import COUNTED, StatedUnit, stamps_and_values, stated_unit
-from bayesbl.recording.repairs import filled, unwrapped, without_strays
+from bayesbl.recording.repairs import LONGEST_TICK_S, filled, unwrapped, without_strays
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
     RPM_PER_RAD_PER_S,
@@ -46,7 +46,7 @@ from bayesbl.units import (
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
         TIME: "t time timestamp stamp zeit temps tempo clock sample samples",
-        MOTOR_SPEED: "speed velocity vel omega w rpm erpm drehzahl n dq qd qvel",
+        MOTOR_SPEED: "speed velocity vel velo omega w rpm erpm drehzahl n dq qd qvel",
         MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q qpos aipos "
         "twist torsion deflection displacement messuhr",
         MOTOR_CURRENT: "current cur i iq strom amps macur",
@@ -58,7 +58,10 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 _TURNS_BY_MINUTE = "drehzahl"
 """Words that say the unit: angular speeds are called otherwise."""
 
-_REFERENCE = "ref reference set setpoint cmd command target desired demand nominal soll sp goal"
+_REFERENCE = (
+    "ref reference set setpoint cmd command target desired demand nominal soll sp goal "
+    "action"  # of a policy, to the joint
+)
 _LOAD = "load link joint output out arm l wheel pendulum secondary external abtrieb"
 _MOTOR = "motor mot m antrieb"
 _BESIDE = (
@@ -71,7 +74,7 @@ _BESIDE = (
 _ELECTRICAL = "electrical electric elec el elektrisch elektrische"
 """Of a speed or an angle: as many times the motor's as it has pole pairs."""
 
-_FILTERED = "filtered filt smooth smoothed avg mean"
+_FILTERED = "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt"
 _CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"
 """What groups of one joint's columns are called."""
@@ -113,6 +116,9 @@ NO_NAME = "enter the column of the motor's position and its unit; of its speed a
 
 COUNTS = 'it counts the samples: enter what lies between two of them, as "4 ms"'
 """Reason for a time that no name tells, in steps of one."""
+
+NO_CLOCK = "no name says that it is the time; enter its unit if it is"
+"""Reason for the unit of a column that increases, as a position also may."""
 
 BEHIND = (
     "by its name it is behind the gearbox: enter the gear ratio with its unit, as "
@@ -265,6 +271,12 @@ class _Named:
             return False
 
     @property
+    def is_coarse(self) -> bool:
+        """Whether it holds dates with several rows each, too far apart to tell when each was."""
+        steps = np.diff(self.values) if self.has_dates and not self.increases else np.zeros(0)
+        return bool(np.any(steps > 0.0) and np.median(steps[steps > 0.0]) > LONGEST_TICK_S)
+
+    @property
     def is_of_axis(self) -> bool:
         """Whether its name says an axis, and nothing the motor; what is before a point is a drive's
         part (axis0.encoder), and one in rpm its motor's."""
@@ -295,7 +307,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     """
     named = _of_joint(table, joint)
     chosen = _by_name(named)
-    tied = {table.clocks.get(column.name) for column in chosen.values()} - {None}
+    tied = {table.clocks.get(column.name) for c, column in chosen.items() if c != TIME} - {None}
     if len(tied) > 1:
         of_joint = [column.name for column in named if _channel(column) is not None]
         joined = table.at_shared_stamps(of_joint)
@@ -308,8 +320,12 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     if len(tied) == 1:
         (clock,) = tied
         chosen[TIME] = next(column for column in named if column.name == clock)
-    clocks = [column for column in named if _channel(column) == TIME]
-    if len(clocks) > 1 and not tied and chosen[TIME].name != TIME:
+    dates = next((c for c in named if c.has_dates and np.any(c.values != c.values[0])), None)
+    if TIME not in chosen and dates is not None:
+        chosen[TIME] = dates
+    if TIME in chosen and not tied and chosen[TIME].name != TIME:
+        coarse = chosen[TIME] if chosen[TIME].is_coarse else None
+        clocks = [c for c in named if _channel(c) == TIME or (coarse and _as_long(c, coarse))]
         finer = (c for c in clocks if not c.stated.unknown and c.increases)
         chosen[TIME] = next(finer, chosen[TIME])
     paired = chosen | _pair_of_positions(named, chosen)
@@ -648,14 +664,16 @@ def _channel(column: _Named) -> str | None:
     unit = column.stated.unit
     of_unit = [c for c in _NAMES_OF if unit and is_accepted(c, unit)]
     # A current is often called I_q, of which the letter q alone would be a joint's position.
-    words = column.words - {"q"} if column.is_called("i current strom") else column.words
-    # What stands before a point is a part of the drive: axis0.pos_vel_mapper.pos_rel.
+    words = column.words - {"q"} if column.is_called("i") else column.words
+    # What stands before a point is a part of the drive: axis0.pos_vel_mapper.pos_rel. A letter
+    # beside a word is its unit or its axis: force_N.
     last = _words(column.stated.bare.rpartition(".")[2]) & words
-    by_words = [
+    longer = (frozenset(word for word in of if len(word) > 1) for of in (last, words))
+    by_words = (
         [c for c, named in _NAMES_OF.items() if not of.isdisjoint(named.split())]
-        for of in (last, words)
-    ]
-    kinds = by_words[0] or by_words[1]
+        for of in (*longer, last, words)
+    )
+    kinds = next(filter(None, by_words), [])
     kinds = [c for c in kinds if c in of_unit] or (
         kinds if kinds and (column.stated.ending or not of_unit) else of_unit
     )
@@ -811,7 +829,8 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
     steps = np.diff(there)
     if np.all((there > 1990e10) & (there < 2100e10) & (there % 100 < 60) & (there % 1e6 < 24e4)):
         return UNKNOWN, f"write its dates with marks: 2026-03-14T08:12:33, not {there[0]:.0f}"
-    if np.all(steps == 1.0) and _channel(column) != TIME:
+    of_name = _channel(column) == TIME
+    if np.all(steps == 1.0) and not of_name:
         return UNKNOWN, COUNTS
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     usual: dict[str, float] = {}
@@ -827,30 +846,43 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
         if unit not in _STARTS and _SHORTEST_S <= factor * step * steps.size <= _LONGEST_S:
             usual[unit] = rate
     readings = [f"{rate:.4g} Hz in {unit}" for unit, rate in usual.items()]
-    if len(usual) > 1:
-        return UNKNOWN, f"enter its unit: a sampling rate of {' or '.join(readings)}"
+    if len(usual) > 1 or (usual and not of_name):
+        asked = "enter its unit" if of_name else NO_CLOCK
+        return UNKNOWN, f"{asked}: a sampling rate of {' or '.join(readings)}"
     if not usual and 0.0 < step < 1.0 / _USUAL_RATES_HZ[1]:
         units = choice_of_units(TIME)
         return UNKNOWN, f"enter its unit: in s it would be sampled at {1.0 / step:.4g} Hz; {units}"
     return next(((unit, f"a sampling rate of {rate:.4g} Hz") for unit, rate in usual.items()), None)
 
 
+def _as_long(clock: _Named, dates: _Named, units: Iterable[str] = ()) -> list[str]:
+    """Units, these and the usual ones, in which a time of numbers lasts as long as dates do, to
+    within a step of theirs."""
+    if clock.stamps is not None:
+        return []
+    steps, own = (np.diff(c.values[np.isfinite(c.values)]) for c in (dates, clock))
+    long_s = float(steps.sum())
+    most = float(steps.max(initial=0.0)) + _AGREEMENT * long_s
+    sizes = {u: conversion_factor(TIME, u) * float(own.sum()) for u in (*units, *_UNITS_OF_TIME)}
+    return [u for u, size in sizes.items() if long_s > 0.0 and abs(size - long_s) <= most]
+
+
 def _unlike_dates(clock: _Named, beside: Sequence[_Named], guesses: Sequence[GuessedColumn]) -> str:
     """Asks for a unit in which a time of numbers is as long as the dates beside it, if in its own
-    it is not."""
+    it is not, or that is not known."""
     unit = next(c.unit for c in guesses if c.channel == TIME)
     dates = next((c for c in beside if c.has_dates), None)
-    if unit == UNKNOWN or dates is None or clock.stamps is not None:
+    if dates is None or clock.stamps is not None:
         return ""
-    steps, own = (np.diff(c.values[np.isfinite(c.values)]) for c in (dates, clock))
-    tick, long_s = float(steps.max(initial=0.0)), float(steps.sum())
-    lasts = {u: conversion_factor(TIME, u) * float(own.sum()) for u in (unit, *_UNITS_OF_TIME)}
-    agree = [u for u, s in lasts.items() if abs(s - long_s) <= tick + _AGREEMENT * long_s]
-    if long_s <= 0.0 or unit in agree:
+    known = () if unit == UNKNOWN else (unit,)
+    agree = _as_long(clock, dates, known)
+    own, long_s = (float(np.nanmax(c.values) - np.nanmin(c.values)) for c in (clock, dates))
+    if long_s <= 0.0 or unit in agree or not (known or agree):
         return ""
-    actual = f'{lasts[unit]:.3g} s in {unit}, but {long_s:.3g} s by the dates in "{dates.name}"'
+    lasts = "".join(f"{conversion_factor(TIME, u) * own:.3g} s in {u}, but " for u in known)
+    lasts += f'{long_s:.3g} s by the dates in "{dates.name}"'
     fitting = " or ".join(f'"{u}"' for u in agree) or choice_of_units(TIME)
-    return f"enter its unit: it lasts {actual}; write {fitting}"
+    return f"enter its unit: it lasts {lasts}; write {fitting}"
 
 
 def _series(column: _Named) -> FloatArray:

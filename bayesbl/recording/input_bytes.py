@@ -142,3 +142,14 @@ def unpacked(path: Path, data: bytes) -> bytes:
         ) from None
     require_memory(path, len(whole), "unpacked, or more")
     return whole
+
+
+def of_two(data: bytes, other: bytes) -> bytes:
+    """A file's bytes, those of the one that belongs to it, and where the first end."""
+    return data + other + len(data).to_bytes(8, "big")
+
+
+def two_of(joined: bytes) -> tuple[bytes, bytes]:
+    """What :func:`of_two` joined."""
+    end = int.from_bytes(joined[-8:], "big")
+    return joined[:end], joined[end:-8]

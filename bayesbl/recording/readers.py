@@ -6,6 +6,7 @@ Only what any task needs is checked here; rotations, sampling and the like are i
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import math
 from collections import Counter
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.arguments import File, checked
-from bayesbl.errors import RecordingError, UnavailableError
+from bayesbl.errors import RecordingError, UnavailableError, shortened
 from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import (
     CHANNELS,
@@ -30,8 +31,8 @@ from bayesbl.recording.channels import (
     ColumnSpec,
 )
 from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
-from bayesbl.recording.formats import FORMATS, Format
-from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of, unpacked
+from bayesbl.recording.formats import CAN_LOG, FORMATS, Format, begins_with_frames
+from bayesbl.recording.input_bytes import input_or_refusal, of_two, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
     MOST_SPARED,
@@ -40,6 +41,7 @@ from bayesbl.recording.repairs import (
     held,
     mended_clock,
     new_values,
+    signed,
     told,
     unwrapped,
     without_lost,
@@ -119,8 +121,8 @@ def read_recording(
     strays = [""] * len(others)
     for i, column in enumerate(others):
         called = CHANNELS.get(column.channel, column.channel)
-        if column.channel in POSITIONS:
-            values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
+        mended = unwrapped if column.channel in POSITIONS else signed
+        values[:, i] = mended(values[:, i], column.factor, repairs, called)
         if column.channel not in REFERENCES:
             strays[i] = without_strays(values[:, i], repairs, called)
 
@@ -258,13 +260,16 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
     """The table in a file, and the SHA-256 of the file."""
     data = _read_bytes(path)
     format_ = _format_of(path)
-    beside = (path.with_suffix(s) for s in (format_.beside, format_.beside.upper()) if s)
-    if samples := next((file for file in beside if file.exists()), None):
-        data += _read_bytes(samples)
-    sha256 = hashlib.sha256(data).hexdigest()
+    sha256 = hashlib.sha256(data)
     data = unpacked(path, data)
+    if not format_.signatures and begins_with_frames(data):
+        format_ = CAN_LOG
+    if format_.beside:
+        other = _beside(path, format_.beside)
+        sha256.update(other)
+        data = of_two(data, other)
     if not format_.signatures:  # text is read by this package itself
-        return format_.read(path, data), sha256
+        return format_.read(path, data), sha256.hexdigest()
     if not format_.is_begun_by(data):
         raise RecordingError(
             f"The file cannot be read as {format_.name}.",
@@ -279,7 +284,24 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
             found=f"no module {format_.library}",
             expected='pip install "bayesbl[formats]", or the recording as CSV',
         )
-    return parsed_apart(format_, path, data), sha256
+    return parsed_apart(format_, path, data), sha256.hexdigest()
+
+
+def _beside(path: Path, places: Sequence[str]) -> bytes:
+    """The bytes of the file that belongs to a recording; none where there is no such file."""
+    folder = glob.escape(str(path.parent))
+    for place in places:
+        found = sorted(glob.glob(f"{folder}/{place.format(stem=glob.escape(stem_of(path)))}"))
+        if len(found) > 1:
+            raise RecordingError(
+                "Several files beside this one may belong to it.",
+                file=path,
+                found=shortened(", ".join(Path(file).name for file in found), 200),
+                expected=f"one of them, called {places[0].format(stem=stem_of(path))}",
+            )
+        if found:
+            return _read_bytes(Path(found[0]))
+    return b""
 
 
 def _format_of(path: Path) -> Format:

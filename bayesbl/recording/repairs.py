@@ -307,6 +307,7 @@ LONGEST_TICK_S = 0.1
 15.6 ms or less."""
 
 _COUNTERS = (2.0**16, 2.0**24, 2.0**32)
+_WORDS = (2.0**16, 2.0**32)
 _DAY_S = 86400.0
 _POWERS = tuple(2.0**bits for bits in range(8, 33))
 """At which counts positions begin again, beside a turn."""
@@ -500,6 +501,32 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     whole: FloatArray = position.copy()
     whole[there] += unit * turn * np.concatenate([[0.0], np.cumsum(-np.sign(steps) * jumps)])
     return whole
+
+
+def signed(values: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:
+    """Values, shape (n,), with the signs of whole numbers that were written as unsigned words.
+
+    Of -300 bus servos make 33068, with the sign in the highest bit of 16, others the complement
+    65236. Either leaves numbers near 0 and near half or all of the word, and none between them.
+    """
+    there = np.isfinite(values)
+    written = values[there] / unit
+    counts = np.round(written)
+    if counts.size == 0 or counts.min() < 0.0 or np.max(np.abs(written - counts)) > 1e-5:
+        return values
+    for word in _WORDS:
+        quarters = np.unique(counts // (word / 4.0)).tolist()
+        if quarters in ([0.0, 2.0], [0.0, 3.0]):
+            high = counts >= word / 2.0
+            signs = word / 2.0 - counts[high] if 2.0 in quarters else counts[high] - word
+            if -signs.max() > counts[~high].max():
+                break  # large beside all others: a speed beside a standstill
+            counts[high] = signs
+            repairs[f"sign of the {name} in an unsigned word"] += int(high.sum())
+            whole: FloatArray = values.copy()
+            whole[there] = unit * counts
+            return whole
+    return values
 
 
 def without_strays(values: FloatArray, repairs: Counter[str], name: str) -> str:

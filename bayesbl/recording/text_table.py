@@ -43,6 +43,7 @@ from bayesbl.recording.array_table import (
     ArrayTable,
     decimal_mark,
     is_bare_number,
+    is_called_time,
     is_date,
     is_number,
     is_value,
@@ -68,7 +69,7 @@ _STEP = re.compile(
     r"\W*(?:(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate)|abtast\w*"
     r"|delta.?x|[xt].?inc|x?.?increment|d[tx]"
     r"|(?:sampl(?:e|ing)|scan|record(?:er|ing)?|trace).?(?:time|interval|period|resolution))"
-    r"\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*[:=]?\s*(?P<value>.*)",
+    r"\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*(?:[:=]|is )?\s*(?P<value>.*)",
     re.IGNORECASE,
 )
 _LONGEST_STEP_S = 0.1
@@ -228,13 +229,13 @@ def layout_of(
         if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
             cut[i].pop()  # LabVIEW ends its header so, and no line of samples
     above_cells = [cut[i] for i in above]
-    step_s = _stated_step(above_cells)
+    step_s = _stated_step([[head[i]] for i in above] if separator == " " else above_cells)
     heading = _header_of(above_cells, {width, width - 1} if trailing else {width})
     rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     numbers = [row[i] for row in rows for i in values if i < len(row)]
     mark = mark or decimal_mark(file, numbers)
     stated = tuple(_unit_of(file, rows, k) if k in values else "" for k in range(width))
-    labels = _of_key(_LABELS, above_cells)[:width]
+    labels = _of_key(_LABELS, above_cells, width)
     if heading is None and any(labels):
         heading = len(above) - 1, ("",) * width, ()
     if heading is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
@@ -244,11 +245,18 @@ def layout_of(
         nearest = cut[above[-1]] if above else []
         if len(nearest) > 1 and not any(map(is_number, nearest)):
             raise _of_other_width(file, begin, width, len(nearest))
-        unnamed = tuple(f"column {i + 1}" for i in range(width))
-        return Layout(separator, unnamed, mark, stated, begin=begin, step_s=step_s)
+        unnamed = [f"column {i + 1}" for i in range(width)]
+        words = [i for i in range(values[-1]) if i not in values]
+        if len(words) > 1 and words == [*range(words[0], values[-1], 2)]:  # before each value
+            for i in words:
+                called = {row[i] for row in samples}
+                unnamed[i + 1] = called.pop() if len(called) == 1 else unnamed[i + 1]
+        names = tuple(numbered(unnamed))
+        return Layout(separator, names, mark, stated, begin=begin, step_s=step_s)
     last, names, units = heading
-    units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells)
-    scales = [cell if cell not in ("0", "1") else "" for cell in _of_key(_SCALES, above_cells)]
+    units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells, width)
+    scales = _of_key(_SCALES, above_cells, width)
+    scales = tuple(cell if cell not in ("0", "1") else "" for cell in scales)
     if any(scales):  # which may have been applied or not
         both = zip_longest(units, scales[: len(names)], fillvalue="")
         units = tuple(f"{u} (scale {scale})" if is_bare_number(scale) else u for u, scale in both)
@@ -325,10 +333,11 @@ def _of_one_key(cells: list[str]) -> list[str]:
     return [cell.partition(":")[2].strip() for cell in cells] if is_of_units else []
 
 
-def _of_key(words: str, rows: Iterable[Sequence[str]]) -> tuple[str, ...]:
-    """The cells of the last row whose first one is such a word, but for that one."""
+def _of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> tuple[str, ...]:
+    """The cells of the last row whose first one is such a word, but for that one; nothing of a row
+    with more cells than there are columns: these stand elsewhere."""
     matching = [row for row in rows if len(row) > 2 and re.search(words, row[0], re.IGNORECASE)]
-    return ("", *matching[-1][1:]) if matching else ()
+    return ("", *matching[-1][1:]) if matching and not any(matching[-1][width:]) else ()
 
 
 def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
@@ -630,12 +639,6 @@ _PAIR = re.compile(
     r"([+-]?\d[\d.]*(?:[eE][+-]?\d+)?(?:\s?[^\W\d][^\s,;|:=]*(?!\s*[:=]))?)"
     r"(?=[\s,;|]|$)[\s,;|]*"
 )
-_CAN = re.compile(
-    r"\s*(?:\(\S+\)\s+)?\w*can\d+\s+[0-9A-F]+(?:#|\s+\[\d+\])"
-    r"|\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s",
-    re.IGNORECASE,
-)
-"""A frame, as candump and Vector's tools write it."""
 
 
 def in_cells(file: Path, text: bytes, head: Sequence[str]) -> ArrayTable | None:
@@ -644,21 +647,8 @@ def in_cells(file: Path, text: bytes, head: Sequence[str]) -> ArrayTable | None:
     ::
 
         [12:30:01.123] I (1234) motor: vel=12.3, cur=0.4
-
-    Raises
-    ------
-    RecordingError
-        If it is a log of raw frames.
     """
     written = [line for line in head if line.strip()]
-    if 2 * sum(_CAN.match(line) is not None for line in written) > max(2, len(written)):
-        raise RecordingError(
-            "This is a log of raw CAN frames.",
-            file=file,
-            found="frames without the names, scales and units of what is in them",
-            expected="its signals as CSV: decode it with the DBC file, in the tool that made it or "
-            "by asammdf, whose extract_bus_logging takes an MDF of the frames and the DBC",
-        )
     may_be_table = any(len(line.split()) > 3 for line in written)
     for form in (None, *(_FORMS[:-1] if may_be_table else _FORMS)):
         rows = [row for line in written if (row := _row(form, line))]
@@ -721,7 +711,8 @@ def in_columns(table: ArrayTable) -> ArrayTable:
     for _, name, words, index, times in sorted(keys, key=lambda key: key[0]):
         key = np.array([w.decode() if isinstance(w, bytes) else f"{w:g}" for w in words])[index]
         most = index == np.argmax(times)
-        for clock, time in (dates | {n: v for n, v in numbers.items() if n not in held}).items():
+        clocks = dates | {n: v for n, v in numbers.items() if n not in held}
+        for clock, time in sorted(clocks.items(), key=lambda each: not is_called_time(each[0])):
             if clock == name or not np.all(np.diff(time[most]) > 0.0):
                 continue
             columns = {"": values[0]} if len(values) == 1 else {}

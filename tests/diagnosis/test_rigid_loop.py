@@ -16,19 +16,20 @@ from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.inference import inferred
 from bayesbl.diagnosis.rigid.orders import OrderedRest, clearest
 from bayesbl.diagnosis.rigid.speed_loop import (
     ANGLE,
     CANDIDATES,
     TORQUE,
     Lines,
+    LoopView,
     comparison,
     find_orders,
     law_powers,
     lines_of,
     loop_setting,
     loop_values,
-    searched,
     speed_of_torque,
     torque_of_angle,
 )
@@ -162,9 +163,31 @@ def test_an_error_of_the_angle_at_another_order_is_described_and_not_called_ripp
     assert any("error of the encoder" in note for note in found.notes)
 
 
-def test_a_line_at_one_frequency_is_periodic_in_time(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, Drive(hum=(50.0, 0.03)), (300.0, 570.0, 800.0, -1100.0), seed=2)
+def test_a_change_of_the_loop_without_a_size_is_not_named(tmp_path: Path) -> None:
+    """Where no line follows a law of the catalogue, nothing shows how the loop answers."""
+    drive = Drive(angles=((2.0, 0.0019327130760249433, 5.604170449736185),), viscous=0.054)
+    found = diagnosed(tmp_path, drive, FAST_RPM, seed=146)
     assert not found.effects
+    assert not found.parameter_errors
+
+
+def test_a_wrong_gain_beside_an_error_of_the_angle_leaves_the_torques_their_sizes(
+    tmp_path: Path,
+) -> None:
+    waves = ((12.0, 0.1284, 5.83339220009124), (18.0, 0.2742, 4.0278), (6.0, 0.1894, 2.7583))
+    drive = Drive(torques=waves, angles=((3.0, 1.8169e-3, 5.478),), integral_gain=2.5622)
+    named = ripples(diagnosed(tmp_path, drive, SLOW_RPM, EXACT, seed=132))
+    for order, torque, _ in waves:
+        assert named[order] == pytest.approx(torque, rel=0.1)
+
+
+@pytest.mark.parametrize("torques", [(), ((2.0, 0.15, 4.9),)])
+def test_a_line_at_one_frequency_is_periodic_in_time(
+    tmp_path: Path, torques: tuple[tuple[float, float, float], ...]
+) -> None:
+    drive = Drive(hum=(50.0, 0.03), torques=torques)
+    found = diagnosed(tmp_path, drive, (300.0, 570.0, 800.0, -1100.0), seed=2)
+    assert list(ripples(found)) == [order for order, *_ in torques]
     (line,) = found.remaining
     assert line.dependence == "time"
     assert line.frequency_hz == pytest.approx(50.0, rel=1e-3)
@@ -302,8 +325,10 @@ def test_recordings_of_one_speed_leave_both_laws_of_a_line_open() -> None:
         power = law_powers(VALUES, [6.0], np.array(speeds))[..., 0] * 0.05**2
         noise = np.full(power.shape, 1e-3 * power.min())
         lines = Lines((6.0,), np.array(speeds), power, noise, np.full(3, 5.0))
-        (members,) = searched(lines, VALUES, {}, CANDIDATES).sure
-        assert {h.part for h in members} == ({TORQUE} if apart else {TORQUE, ANGLE})
+        view, inference = inferred(LoopView(lines, VALUES, {}, CANDIDATES))
+        (members,) = inference.sure
+        parts = {view.laws[label][1] for label in members}
+        assert parts == ({TORQUE} if apart else {TORQUE, ANGLE})
 
 
 def test_noise_alone_stands_out_as_rarely_as_it_is_said_to() -> None:

@@ -464,13 +464,13 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     unknowns = direct_unknowns(sheet, ["one"], (1e-4, 1e-2))
     nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
     (best, probability), *_ = elastic_parts(nominal, directions(BENCH, {}))
-    part = with_part(nominal, best.explanation, probability)
-    assert part.added.name == "belt"
-    assert part.added.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
-    place = part.fit.model.index(GAP, "one")
-    z = (part.fit.point[place] - math.log(GAP_RAD)) / math.sqrt(part.fit.covariance[place, place])
+    fit, _, part = with_part(nominal, best.explanation, probability)
+    assert part.name == "belt"
+    assert part.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
+    place = fit.model.index(GAP, "one")
+    z = (fit.point[place] - math.log(GAP_RAD)) / math.sqrt(fit.covariance[place, place])
     assert abs(z) < 3.0
-    assert part.fit.chi_square < nominal.chi_square - 30.0
+    assert fit.chi_square < nominal.chi_square - 30.0
 
 
 def test_a_fit_without_its_discrepancy_gives_no_gap_where_something_repeats() -> None:

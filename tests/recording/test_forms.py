@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from struct import pack
 
 import numpy as np
 import pytest
@@ -1694,3 +1695,209 @@ def test_raw_frames_are_no_table_and_said_to_need_their_dbc(tmp_path: Path, form
     path.write_text("\n".join(["date Mon Nov 30 08:30:00.000 am 2026", "base hex", *lines]))
     with pytest.raises(RecordingError, match=r"raw CAN frames.*DBC"):
         read_table(path)
+
+
+def test_a_letter_beside_a_word_says_nothing_and_a_line_for_each_joint_keeps_its_clock(
+    tmp_path: Path,
+) -> None:
+    lines = [
+        f"{joint}|{angle:.5f}|0.4|{n}|{t:.3f}"
+        for t, n, angle in zip(TIME, SPEED, np.cumsum(SPEED), strict=True)
+        for joint in ("elbow", "wrist")
+    ]
+    content = "\n".join(["joint_name|position_rad|torque_Nm|force_N|timestamp", *lines])
+    found = {channel: c.name for channel, c in guess_of(tmp_path, content, "wrist").items()}
+    assert found == {
+        "time_s": "timestamp",
+        "motor_position_rad": "wrist/position_rad",
+        "motor_torque_nm": "wrist/torque_Nm",
+    }
+
+
+TURNED = np.concatenate([[0.0], np.cumsum(0.5 * (SPEED[1:] + SPEED[:-1]) * 1e-3)]) * 6.0
+"""Degrees."""
+
+
+def test_a_column_that_increases_is_no_time_unless_its_name_says_so(tmp_path: Path) -> None:
+    lines = "".join(f"{n:.3f} {p:.5f}\n" for n, p in zip(SPEED, TURNED, strict=True))
+    clock = guess_of(tmp_path, lines)["time_s"]
+    assert (clock.name, clock.unit, clock.is_open) == ("column 2", UNKNOWN, True)
+
+
+def test_texts_before_each_value_name_them_and_a_period_in_words_is_the_step(
+    tmp_path: Path,
+) -> None:
+    lines = [f"axis.pos +{p:.5f} axis.vel +{n:.3f} " for n, p in zip(SPEED, TURNED, strict=True)]
+    path = tmp_path / "halscope.log"
+    path.write_text("\n".join(["Sampling period is 1000000 nSec ", "", *lines]))
+    read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("axis.vel", "rpm")})
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED)
+    lines = [f"{clock(t)}.{i:03d};j1.vel;{n};j1.cur;0.4;" for i, (t, n) in enumerate(PAIRS)]
+    found = guess_of(tmp_path, "\n".join(lines))
+    assert [c.name for c in found.values()] == ["column 1", "j1.vel", "j1.cur"]
+
+
+def test_dates_are_time_whatever_their_name_and_a_finer_counter_beside_them_is_asked_about(
+    tmp_path: Path,
+) -> None:
+    rows_ = [(f"12:00:{int(8 * t):02d}", 4096 + 8 * i, n) for i, (t, n) in enumerate(PAIRS)]
+    lines = "\n".join(f"2026-03-01 {day},{ipoc},{n}" for day, ipoc, n in rows_)
+    asked = guess_of(tmp_path, "Stamp,IPOC,vel\n" + lines)["time_s"]
+    assert (asked.name, asked.unit) == ("IPOC", UNKNOWN)
+    assert asked.reason.endswith('write "ms"')
+    lines = "\n".join(f"2026-03-01 {day},{n}" for day, _, n in rows_)
+    assert guess_of(tmp_path, "Stamp,vel\n" + lines)["time_s"].name == "Stamp"
+    lines = "\n".join(f"2026-03-01 12:00:00,{ipoc},{n}" for _, ipoc, n in rows_)
+    assert guess_of(tmp_path, "Begun,IPOC,vel\n" + lines)["time_s"].name == "IPOC"
+    # Ticks of 4 ms are spread: no other clock is needed.
+    lines = "\n".join(f"12:00:00.{i // 4 * 4:03d},{i},{n}" for i, (_, n) in enumerate(PAIRS))
+    assert guess_of(tmp_path, "Stamp,IPOC,vel\n" + lines)["time_s"].name == "Stamp"
+
+
+@pytest.mark.parametrize("filtered", ["Velocity averaged [rpm]", "n geglättet [1/min]"])
+def test_a_filtered_speed_comes_after_the_other_one_in_any_word_for_it(
+    tmp_path: Path, filtered: str
+) -> None:
+    lines = "\n".join(f"{t:.3f},{n},{n}" for t, n in PAIRS)
+    found = guess_of(tmp_path, f"Time [s],{filtered},ActVelo [rpm]\n{lines}")
+    assert found["motor_speed_rpm"].name == "ActVelo [rpm]"
+
+
+def test_units_of_a_row_that_is_longer_than_the_samples_are_nobodys(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    head = ["# unit_string: s           unit_string: Nm          unit_string: 1/min"]
+    path.write_text("\n".join([*head, "t torque n", *rows("{t:.3f} 0.4 {n:.3f}")]))
+    assert not read_table(path).units
+
+
+@pytest.mark.parametrize("negative", [lambda n: 32768 + n, lambda n: 65536 - n])
+def test_signs_in_unsigned_words_are_put_back(
+    tmp_path: Path, negative: Callable[[int], int]
+) -> None:
+    counts = [round(n) if i % 300 < 150 else -round(n) for i, n in enumerate(SPEED)]
+    written = [n if n >= 0 else negative(-n) for n in counts]
+    path = tmp_path / "servo.csv"
+    path.write_text(text([f"{t:.3f},{n}" for t, n in zip(TIME, written, strict=True)]))
+    read = read_recording(path)
+    np.testing.assert_allclose(read.motor_speed_rpm, counts)
+    assert read.notes == (
+        "Put right while reading: 300 × sign of the motor speed in an unsigned word.",
+    )
+    fast = [n + 5000 if n > 32767 else n % 5 for n in written]  # beside a standstill
+    path.write_text(text([f"{t:.3f},{n}" for t, n in zip(TIME, fast, strict=True)]))
+    assert read_recording(path).motor_speed_rpm.max() > 30000.0
+    path.write_text(text([f"{t:.3f},{n + 0.25}" for t, n in zip(TIME, written, strict=True)]))
+    assert read_recording(path).motor_speed_rpm.max() > 30000.0
+
+
+def lerobot(folder: Path, names: object, episodes: int = 1) -> Path:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = folder / "data" / "chunk-000" / "file-000.parquet"
+    path.parent.mkdir(parents=True)
+    angle = np.tile(TURNED % 90.0, episodes)
+    lists = pa.array(np.column_stack([angle, angle + 1.0]).tolist())
+    table = {
+        "observation.state": lists,
+        "action": lists,
+        "timestamp": np.tile(TIME, episodes).astype("f4"),
+        "episode_index": np.repeat(np.arange(episodes), COUNT),
+    }
+    pq.write_table(pa.table(table), path)
+    features = {key: {"names": names} for key in ("observation.state", "action")}
+    (folder / "meta").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": 1000, "features": features}))
+    return path
+
+
+@pytest.mark.parametrize("form", [lambda names: names, lambda names: {"motors": names}])
+def test_lists_of_lerobot_are_called_as_its_info_says(
+    tmp_path: Path, form: Callable[[list[str]], object]
+) -> None:
+    path = lerobot(tmp_path, form(["shoulder_pan.pos", "gripper.pos"]))
+    table = read_table(path)
+    np.testing.assert_allclose(table.arrays["gripper/action.pos"], TURNED % 90.0 + 1.0)
+    found = {c.channel: c for c in guess_columns(table, "shoulder_pan").columns}
+    assert found["motor_position_rad"].name == "shoulder_pan/observation.state.pos"
+    assert found["motor_position_rad"].is_open
+    before = read_recording(path, columns=LEROBOT).source.sha256
+    (tmp_path / "meta" / "info.json").write_text("{}")
+    assert read_table(path).columns[:2] == ("observation.state[0]", "observation.state[1]")
+    (tmp_path / "meta" / "info.json").unlink()
+    assert read_table(path).columns[:2] == ("observation.state[0]", "observation.state[1]")
+    assert len(before) == 64
+
+
+LEROBOT = {
+    "time_s": ColumnSpec("timestamp", "s"),
+    "motor_position_rad": ColumnSpec("shoulder_pan/observation.state.pos", "deg"),
+}
+
+
+def test_episodes_in_one_file_of_lerobot_are_groups(tmp_path: Path) -> None:
+    table = read_table(lerobot(tmp_path, ["shoulder_pan.pos", "gripper.pos"], 3))
+    with pytest.raises(RecordingError, match=r"several joints.*episode_0/shoulder_pan"):
+        guess_columns(table)
+    clock_, angle = guess_columns(table, "episode_1/gripper").columns
+    assert clock_.name == "episode_1/time_s"
+    assert angle.name == "episode_1/gripper/observation.state.pos"
+    assert table.arrays[angle.name].size == COUNT
+
+
+DBC = """VERSION ""
+BU_: DRV
+BO_ 321 Motor: 6 DRV
+ SG_ MotorSpeed : 0|32@1- (0.001,0) [0|0] "rpm" DRV
+ SG_ MotorCurrent : 32|16@1- (0.01,0) [0|0] "A" DRV
+BO_ 322 Housing: 2 DRV
+ SG_ Temperature : 0|16@1- (0.1,0) [0|0] "degC" DRV
+"""
+
+
+def can_log(path: Path) -> None:
+    import can
+
+    # A frame of the motor each ms, one of the housing after every fifth, one of nobody, one cut.
+    frames = [(TIME[i], 321, pack("<ih", round(1e3 * SPEED[i]), 40)) for i in range(COUNT)]
+    frames += [(TIME[i] + 3e-4, 322, pack("<h", 310)) for i in range(0, COUNT, 5)]
+    frames += [(0.2004, 0x7FF, b"1"), (0.2006, 321, b"1"), (-1e-4, 322, pack("<h", 310))]
+    frames.sort()
+    if path.suffix == ".log":
+        lines = [f"({1436509052 + t:.6f}) can0 {i:03X}#{d.hex().upper()}" for t, i, d in frames]
+        path.write_text("\n".join(lines))
+        return
+    with can.Logger(str(path)) as log:
+        for t, i, d in frames:
+            log(can.Message(t + 1436509052, i, is_extended_id=False, channel=0, data=d))
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf"])
+def test_frames_of_a_bus_are_decoded_by_the_dbc_file_beside_them(
+    tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / f"drive.{suffix}"
+    can_log(path)
+    with pytest.raises(RecordingError, match=r"raw CAN frames.*no DBC file"):
+        read_table(path)
+    (tmp_path / "cell.dbc").write_text(DBC)
+    table = read_table(path)
+    assert table.units["MotorSpeed"] == "rpm"
+    found = [c.name for c in guess_columns(table).columns]
+    assert found == ["Motor/time_s", "MotorSpeed", "MotorCurrent"]
+    columns = {name: ColumnSpec(of) for name, of in CAN_COLUMNS.items()}
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED, atol=1e-3)
+    np.testing.assert_allclose(read.time_s - read.time_s[0], TIME, atol=1e-6)
+    np.testing.assert_allclose(read.channels["motor_current_a"], 0.4)
+    assert read.notes[0].startswith("Put right while reading: 1 × CAN frame of no message")
+    (tmp_path / "other.dbc").write_text(DBC.replace("321", "320").replace("322", "319"))
+    with pytest.raises(RecordingError, match=r"cell.dbc, other.dbc.*drive.dbc"):
+        read_table(path)
+    (tmp_path / "other.dbc").rename(tmp_path / "drive.dbc")
+    with pytest.raises(RecordingError, match="none of a message in its DBC file"):
+        read_table(path)
+
+
+CAN_COLUMNS = {"motor_speed_rpm": "MotorSpeed", "motor_current_a": "MotorCurrent"}

@@ -43,7 +43,6 @@ from bayesbl.diagnosis.inference import (
     Rows,
     Series,
     candidate_of,
-    least_squares,
 )
 from bayesbl.diagnosis.rigid.motion import (
     END_PERIODS,
@@ -81,6 +80,7 @@ from bayesbl.diagnosis.task import (
 )
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import NAMED_AT
+from bayesbl.model_search.linear import least_squares
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.repairs import widened
 from bayesbl.recording.types import (
@@ -235,15 +235,10 @@ class InverseView:
         """Of the pieces without their motion."""
         return Rows(tuple(part.piece for part in self.parts))
 
-    @property
-    def pieces(self) -> tuple[Piece, ...]:
-        """What is compared."""
-        return self.rows.pieces
-
     @cached_property
     def unit(self) -> float:
         """N m in one unit of the channel: K_t where current is compared."""
-        current = self.pieces[0].channel == MOTOR_CURRENT
+        current = self.rows.pieces[0].channel == MOTOR_CURRENT
         return self.bench.value(TORQUE_CONSTANT) if current else 1.0
 
     @cached_property
@@ -371,7 +366,7 @@ class InverseView:
     @cached_property
     def _nuisances(self) -> dict[str, FloatArray]:
         """What is fitted of the bench itself, (N,) each."""
-        names = dict.fromkeys(piece.name for piece in self.pieces)
+        names = dict.fromkeys(piece.name for piece in self.rows.pieces)
         made = {name: self._parameter(name) for name in self.unknown}
         if self.gravity_free:
             for name in names:
@@ -1025,7 +1020,7 @@ def compared(
 
 def _require_motion(view: InverseView, recordings: Sequence[Recording]) -> None:
     """Refuse where nothing moves in a part that is fitted or predicted."""
-    for piece in view.pieces:
+    for piece in view.rows.pieces:
         moving = piece.kept(piece.time_s).size
         if moving < FEWEST_SAMPLES:
             (place,) = {r.place for r in recordings if r.name == piece.name}

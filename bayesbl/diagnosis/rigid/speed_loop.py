@@ -16,26 +16,29 @@ and with the loop's own unknowns. Phases are free: where the motor starts is not
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import pairwise
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, NamedEffect, ParameterError, verdict_of
-from bayesbl.diagnosis.disagreement import ComparedPiece, Use
+from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, Use
 from bayesbl.diagnosis.inference import (
     MOST_EFFECTS,
+    AffineModel,
+    Candidate,
+    Discrepancy,
+    Inference,
+    Look,
     Piece,
     Rows,
-    bounded_least_squares,
     compared_pieces,
+    inferred,
 )
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, clearest, spectrum_of
@@ -52,7 +55,7 @@ from bayesbl.diagnosis.task import (
     wanted,
 )
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, MisfitBand, Term, search
+from bayesbl.model_search.linear import MisfitBand, bounded_least_squares
 from bayesbl.model_search.residuals import Unexplained
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import is_one_speed, require_channels
@@ -150,23 +153,15 @@ class Turning:
         """Of the motor."""
         return abs(float(self.angle[-1] - self.angle[0])) / (2.0 * math.pi)
 
-    @property
-    def turns_per_s(self) -> float:
-        """Of the motor."""
-        return abs(self.speed_rad_per_s) / (2.0 * math.pi)
-
-    @property
-    def highest_order(self) -> float:
-        """That the sampling shows."""
-        return min(HIGHEST_ORDER, WIDEST / self.piece.period_s / self.turns_per_s)
-
     def part(self, rows: slice, use: Use) -> Turning:
         """Some samples of it, with a use of their own."""
         return replace(self, piece=self.piece.part(rows, use), angle=self.angle[rows], made={})
 
     def shows(self, order: float) -> bool:
         """Whether an order turns often enough, and not too fast for the sampling."""
-        return order < self.highest_order and order * self.turns >= FEWEST_CYCLES
+        per_sample = order * abs(self.speed_rad_per_s) / (2.0 * math.pi) * self.piece.period_s
+        is_sampled = order < HIGHEST_ORDER and per_sample < WIDEST
+        return is_sampled and order * self.turns >= FEWEST_CYCLES
 
     def _answer(self, order: float) -> FloatArray:
         """The loop's answer to cos n θ and sin n θ, 1 at the mean speed, shape (n, 2).
@@ -253,7 +248,7 @@ ANGLE_ERROR, BETWEEN, TIME = "error of the angle", "angle between both", "line i
 TORQUE, ANGLE, BOTH = range(3)
 """Columns of :func:`law_powers`."""
 
-LOWEST_SIZE = np.array([0.0, 0.0, -np.inf])
+LOWEST = np.array([0.0, 0.0, -np.inf])
 """Of each."""
 
 GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
@@ -273,17 +268,14 @@ STARTS = (0.1, 0.3, 1.0, 3.0)
 LINE_LAW = 0.5
 """Probability beforehand that a line which is there is of a torque, or of an error of the angle."""
 
-LAW_SHARE = 0.1
-"""Usual share of its own power that a line is off its law by: no loop is quite as its equation."""
+ROUNDS = 5
+"""Of search and fit: the first finds lines alone, and changes of the loop are linear near them."""
 
 MOST_BESIDE = 3
 """Changes of the loop beside the laws of the lines."""
 
-LEAST = 1e-6
-"""Of a line, that a part of its law makes where a fit begins."""
-
-ROUNDS = 4
-"""Of search and fit at most."""
+STEP = 1e-4
+"""Of a logarithm, for derivatives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,20 +303,6 @@ class Lines:
         """The same with 0 where not shown."""
         return np.nan_to_num(self.power)
 
-    def in_time(self) -> list[list[tuple[int, int]]]:
-        """Recording and order of lines that have one frequency, each where it is strongest."""
-        signal = np.where(self.shown, self.measured / self.noise, -np.inf)
-        at = np.argmax(signal, axis=0)
-        hertz = np.asarray(self.orders) * np.abs(self.speeds[at]) / (2.0 * math.pi)
-        by_hertz = np.argsort(hertz)
-        apart = np.diff(hertz[by_hertz]) * self.lasting_s[at].min() >= 1.0
-        groups = np.split(by_hertz, np.flatnonzero(apart) + 1)
-        return [
-            [(int(at[k]), int(k)) for k in group]
-            for group in groups
-            if np.unique(at[group]).size > 1
-        ]
-
     def sd(self, power: FloatArray) -> FloatArray:
         """Standard deviation of a measured power where this is the true one, (r, m)."""
         return np.asarray(2.0 * np.sqrt(self.noise * (np.maximum(power, 0.0) + self.noise)))
@@ -342,62 +320,78 @@ def law_powers(values: Values, orders: Sequence[float], speeds: FloatArray) -> F
     return np.stack([gain, gain * np.abs(angle) ** 2, 2.0 * gain * angle.real], axis=-1)
 
 
-@dataclass(frozen=True, slots=True)
-class LoopFit:
-    """Laws of lines, and the loop that they are of.
+@dataclass(frozen=True)
+class LoopView:
+    """Lines of a loop for the model search: powers by order and recording, over their noise.
 
     Attributes
     ----------
     lines, believed, priors
-        What is fitted, the loop as the bench has it, and what of that is free: standard deviations
-        of logarithms.
-    changes
-        Of the loop: logarithm of a parameter's factor, or what is added to an effect.
+        What is compared, the loop as the bench has it, and what of that is free: standard
+        deviations of logarithms.
+    candidates
+        Effects that may be named.
     sizes
-        Coefficients of :func:`law_powers`, (m, 3); 0 where the law lacks a part.
-    changes_sd, sizes_sd
-        Standard deviations.
-    beside
-        Changes that are hypotheses.
+        Of hypotheses in the fit, by label: a coefficient of :func:`law_powers`, or a change of the
+        loop, which is the logarithm of a parameter's factor, or what is added to an effect.
+    free
+        Changes of what is free.
+    named
+        Labels of the only hypotheses, once they are told with their sizes.
     """
 
     lines: Lines
     believed: Values
     priors: Mapping[str, float]
-    changes: Mapping[str, float]
-    sizes: FloatArray
-    changes_sd: Mapping[str, float]
-    sizes_sd: FloatArray
-    beside: frozenset[str] = frozenset()
+    candidates: Sequence[str]
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    free: Mapping[str, float] = field(default_factory=dict)
+    named: frozenset[str] | None = None
 
-    @classmethod
-    def nothing(cls, lines: Lines, believed: Values, priors: Mapping[str, float]) -> LoopFit:
-        """The loop as believed, and no line with a law."""
-        none, sizes = dict.fromkeys(priors, 0.0), np.zeros((len(lines.orders), 3))
-        return cls(lines, believed, priors, none, sizes, none, sizes)
+    @cached_property
+    def laws(self) -> dict[str, tuple[int, int]]:
+        """Order, by its place, and part of its law, of every hypothesis of one line, by label.
 
-    @property
-    def values(self) -> dict[str, float]:
-        """Of the loop."""
-        return self.changed(self.changes)
+        At order 1 an error of the angle is an eccentric encoder, and a torque may stand beside it.
+        """
+        possible = (*self.candidates, ANGLE_ERROR, BETWEEN)
+        every = dict[str, tuple[int, int]]()
+        for k, order in enumerate(self.lines.orders):
+            names = {TORQUE: RIPPLE, ANGLE: ANGLE_ERROR}
+            if order == 1.0:
+                names |= {ANGLE: ECCENTRICITY, BOTH: BETWEEN}
+            every |= {f"{name}, {k}": (k, part) for part, name in names.items() if name in possible}
+        return every
 
-    @property
-    def without(self) -> dict[str, float]:
-        """Changes without those that are hypotheses."""
-        return {n: 0.0 if n in self.beside else change for n, change in self.changes.items()}
+    @cached_property
+    def in_time(self) -> dict[str, list[tuple[int, int]]]:
+        """Lines that have one frequency, each at the recording where it is strongest and its order;
+        by label."""
+        lines = self.lines
+        at = np.argmax(np.where(lines.shown, lines.measured / lines.noise, -np.inf), axis=0)
+        hertz = np.asarray(lines.orders) * np.abs(lines.speeds[at]) / (2.0 * math.pi)
+        by_hertz = np.argsort(hertz)
+        apart = np.diff(hertz[by_hertz]) * lines.lasting_s[at].min() >= 1.0
+        groups = np.split(by_hertz, np.flatnonzero(apart) + 1)
+        return {
+            f"{TIME}, {group[0]}": [(int(at[k]), int(k)) for k in group]
+            for group in groups
+            if np.unique(at[group]).size > 1
+        }
 
-    @property
-    def parts(self) -> BoolArray:
-        """Which each order's law has, (m, 3)."""
-        return np.asarray(self.sizes != 0.0)
+    @cached_property
+    def law_sizes(self) -> FloatArray:
+        """Of each order's law, (m, 3); 0 where it lacks a part."""
+        sizes = np.zeros((len(self.lines.orders), 3))
+        for label, part in self.laws.items():
+            sizes[part] = self.sizes.get(label, 0.0)
+        return sizes
 
-    def usual(self, name: str) -> float:
-        """Size of a change of the loop that is a hypothesis."""
-        gain = self.believed[GAINS[0]]
-        if name == FRICTION:
-            return WRONG * gain
-        inertia = float(mechanics(self.believed, np.ones(1))[0].imag)
-        return LAG * inertia / gain if name in LOOP_EFFECTS else WRONG
+    @cached_property
+    def changes(self) -> dict[str, float]:
+        """Of the loop, free and by hypotheses."""
+        names = (*self.priors, *LOOP_EFFECTS, *SCALES)
+        return {name: self.free.get(name, 0.0) + self.sizes.get(name, 0.0) for name in names}
 
     def changed(self, changes: Mapping[str, float]) -> dict[str, float]:
         """The loop with these changes."""
@@ -408,244 +402,150 @@ class LoopFit:
             for name, value in self.believed.items()
         }
 
-    def laws(self, changes: Mapping[str, float]) -> FloatArray:
+    def powers(self, changes: Mapping[str, float]) -> FloatArray:
         """:func:`law_powers` with these changes, (r, m, 3)."""
         return law_powers(self.changed(changes), self.lines.orders, self.lines.speeds)
 
-    @property
+    @cached_property
     def expected(self) -> FloatArray:
         """Power by the laws, as measured where there is none, (r, m)."""
-        power = np.einsum("rmk,mk->rm", self.laws(self.changes), self.sizes)
-        return np.maximum(np.where(self.parts.any(axis=1), power, self.lines.measured), 0.0)
-
-    def sizes_with(self, changes: Mapping[str, float], parts: BoolArray) -> FloatArray:
-        """Sizes of these parts that fit best with the loop so changed, none below 0, (m, 3)."""
-        lines, laws = self.lines, self.laws(changes)
-        weight, sizes = 1.0 / lines.sd(self.expected), np.zeros((len(lines.orders), 3))
-        for k, chosen in enumerate(parts):
-            shown = lines.shown[:, k]
-            rows = (laws[shown, k].T * weight[shown, k]).T[:, chosen]
-            low = LOWEST_SIZE[chosen]
-            sizes[k, chosen] = bounded_least_squares(rows, (lines.power * weight)[shown, k], low)
-        return sizes
-
-    def best(self, changes: Mapping[str, float]) -> FloatArray:
-        """Powers with such a loop by the same laws, of the sizes that fit best then, (r, m).
-
-        What is the same at all speeds is a size, so that no change of the loop makes lines.
-        """
-        sizes = self.sizes_with(changes, self.parts)
-        return np.asarray(np.einsum("rmk,mk->rm", self.laws(changes), sizes))
-
-    def predicted(self, place: int, speeds: FloatArray) -> FloatArray:
-        """Size of a line at these speeds, rpm, shape (r,)."""
-        laws = law_powers(self.values, self.lines.orders[place : place + 1], speeds)[:, 0]
-        return np.asarray(np.sqrt(np.maximum(laws @ self.sizes[place], 0.0)))
-
-    def size(self, place: int, part: int) -> Estimate:
-        """A torque in N m, or an angle in rad."""
-        size = math.sqrt(max(float(self.sizes[place, part]), np.finfo(float).tiny))
-        return Estimate(size, 0.5 * float(self.sizes_sd[place, part]) / size)
-
-    def logarithm(self, name: str) -> Estimate:
-        """Of a parameter's value."""
-        return Estimate(math.log(self.values[name]), self.changes_sd[name], logarithmic=True)
-
-    def in_full(self, beside: Mapping[str, float], parts: BoolArray, share: float) -> LoopFit:
-        """Fitted from here with these changes that are hypotheses, from these sizes of them.
-
-        Parameters
-        ----------
-        parts
-            Of every order's law.
-        share
-            Of its power that a line is off its law by.
-        """
-        lines = self.lines
-        changes = {n: self.changes.get(n, 0.0) for n in self.priors} | dict(beside)
-        names = list(changes)
-        sds = np.array([self.usual(n) if n in beside else self.priors[n] for n in names])
-        laws = self.laws(changes)
-        one = np.abs(lines.measured).max(axis=0)[:, None] / np.abs(laws).max(axis=0)
-        units = np.concatenate([sds, one[parts]])
-        sd = np.hypot(lines.sd(self.expected), share * self.expected)
-        kept = lines.shown & parts.any(axis=1)
-
-        def unpacked(x: FloatArray) -> tuple[dict[str, float], FloatArray]:
-            sizes = np.zeros(parts.shape)
-            sizes[parts] = (x * units)[len(names) :]
-            return dict(zip(names, (x * units).tolist(), strict=False)), sizes
-
-        def misfit(x: FloatArray) -> FloatArray:
-            own, sizes = unpacked(x)
-            power = np.einsum("rmk,mk->rm", self.laws(own), sizes)
-            return np.concatenate([x[: len(names)], ((lines.power - power) / sd)[kept]])
-
-        lowest = [0.0 if name in LOOP_EFFECTS else -np.inf for name in names]
-        low = np.concatenate([lowest, np.tile(LOWEST_SIZE, (len(parts), 1))[parts]])
-        start = np.concatenate([list(changes.values()), self.sizes_with(changes, parts)[parts]])
-        x, spread = np.zeros(0), np.zeros(0)
-        if start.size:
-            start = np.maximum(start / units, low + LEAST)
-            optimum = least_squares(misfit, start, bounds=(low, np.inf), x_scale="jac")
-            covariance = np.linalg.pinv(optimum.jac.T @ optimum.jac, hermitian=True)
-            x, spread = optimum.x, np.sqrt(np.diag(covariance))
-        changes, sizes = unpacked(x)
-        changes_sd, sizes_sd = unpacked(spread)
-        return replace(
-            self,
-            changes=changes,
-            sizes=sizes,
-            beside=frozenset(beside),
-            changes_sd=changes_sd,
-            sizes_sd=sizes_sd,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """What a term stands for: a part of a line's law, or a change of the loop.
-
-    ``size``: of the change that its column is a secant to. ``lines``: recording and order of those
-    of a line in time.
-    """
-
-    name: str
-    place: int | None = None
-    part: int = TORQUE
-    size: float = 0.0
-    lines: tuple[tuple[int, int], ...] = ()
-
-    @property
-    def label(self) -> str:
-        """The same of all terms of one hypothesis."""
-        return self.name if self.place is None else f"{self.name}, {self.place}"
-
-
-class LoopSearch:
-    """The model search around a fit: powers of lines, by order and recording."""
-
-    def __init__(self, fit: LoopFit, candidates: Sequence[str]) -> None:
-        self.fit, self._candidates = fit, (*candidates, ANGLE_ERROR, BETWEEN)
-        self._sd = fit.lines.sd(fit.expected)
-        terms = [*self._of_lines(), *self._of_loop()]
-        prediction = self._rows(fit.expected)
-        ends = np.cumsum([0, *fit.lines.shown.sum(axis=0)]).tolist()
-        bands = [
-            MisfitBand(f"order {order:.5g}", slice(*rows), rows[1] - rows[0])
-            for order, rows in zip(fit.lines.orders, pairwise(ends), strict=True)
-        ]
-        usual = LAW_SHARE * math.sqrt(float(np.mean(prediction**2)))
-        changes = np.array([fit.without[name] for name in fit.priors])
-        precision = np.array(list(fit.priors.values())) ** -2.0
-        linearised = Linearised(
-            self._rows(fit.lines.measured),
-            np.reshape([self._slope(name) for name in fit.priors], (-1, prediction.size)).T,
-            np.diag(precision),
-            -precision * changes,
-            terms,
-            np.diag(prediction),
-            [DiscrepancyGroup("share of its law", slice(0, prediction.size), usual)],
-            bands,
-        )
-        laws = {t.hypothesis: LINE_LAW for t in terms if t.source.place is not None}
-        most = len(fit.lines.orders) + MOST_BESIDE
-        self.posterior = search(linearised, most, laws)
-
-    def _rows(self, power: FloatArray) -> FloatArray:
-        """Powers (r, m) in units of their noise, order by order, those that show, (n,)."""
-        return np.asarray((power / self._sd).T[self.fit.lines.shown.T])
-
-    def _slope(self, name: str) -> FloatArray:
-        fit, step = self.fit, 1e-4
-        moved = {**fit.changes, name: fit.changes[name] + step}
-        return self._rows(fit.best(moved) - fit.best(fit.changes)) / step
-
-    def _term(
-        self, hypothesis: Hypothesis, column: FloatArray, positive: bool, **more: Any
-    ) -> Term:
-        return Term(hypothesis.label, column[:, None], positive, source=hypothesis, **more)
-
-    def _of_lines(self) -> Iterator[Term]:
-        lines, laws = self.fit.lines, self.fit.laws(self.fit.without)
-        for k, order in enumerate(lines.orders):
-            names = {TORQUE: RIPPLE, ANGLE: ANGLE_ERROR}
-            if order == 1.0:
-                names |= {ANGLE: ECCENTRICITY, BOTH: BETWEEN}
-            own = [Hypothesis(n, k, p) for p, n in names.items() if n in self._candidates]
-            for hypothesis in own:
-                power = np.zeros_like(lines.measured)
-                power[:, k] = np.abs(laws[:, k, hypothesis.part])
-                power *= np.linalg.norm(lines.measured[:, k]) / np.linalg.norm(power)
-                others = frozenset(h.label for h in own if h is not hypothesis)
-                both = hypothesis.part == BOTH
-                yield self._term(
-                    hypothesis,
-                    self._rows(power),
-                    not both,
-                    excludes=others if order != 1.0 else frozenset(),
-                    requires=others if both else frozenset(),
-                )
-        for group in lines.in_time():
-            rows = tuple(np.transpose(group))
-            power = np.zeros_like(lines.measured)
-            power[rows] = laws[(*rows, TORQUE)]
-            power *= np.linalg.norm(lines.measured[rows]) / np.linalg.norm(power)
-            yield self._term(
-                Hypothesis(TIME, group[0][1], lines=tuple(group)), self._rows(power), True
-            )
-
-    def _of_loop(self) -> Iterator[Term]:
-        """Secants: exact for a change that the fit has, of usual sizes for others."""
-        fit = self.fit
-        origin = fit.best(fit.without)
-        for name in (*LOOP_EFFECTS, *SCALES):
-            effect = name in LOOP_EFFECTS
-            if (effect and name not in self._candidates) or not (effect or fit.believed[name]):
-                continue
-            usual = fit.usual(name)
-            sizes = [usual * start for start in (STARTS if effect else (1.0, -1.0))]
-            if name in fit.beside:
-                sizes = [fit.changes[name]]
-            for size in sizes:
-                secant = fit.best({**fit.without, name: size}) - origin
-                column = self._rows(secant) * (usual / size)
-                hypothesis = Hypothesis(name, size=size)
-                yield self._term(hypothesis, column, effect, prior_weight=1.0 / len(sizes))
-
-    def fitted(self, chosen: Iterable[Hypothesis]) -> LoopFit:
-        """These hypotheses, fitted in full."""
-        parts, beside = np.zeros_like(self.fit.parts), {}
-        for hypothesis in chosen:
-            if hypothesis.place is None:
-                beside[hypothesis.name] = hypothesis.size
-            elif hypothesis.name != TIME:
-                parts[hypothesis.place, hypothesis.part] = True
-        parts[:, BOTH] = parts[:, TORQUE] & parts[:, ANGLE]
-        return self.fit.in_full(beside, parts, self.posterior.discrepancy_sd(0))
+        power = _sum(self.powers(self.changes), self.law_sizes)
+        power = np.where(self.law_sizes.any(axis=1), power, self.lines.measured)
+        return np.maximum(power, 0.0)
 
     @cached_property
-    def sure(self) -> list[list[Hypothesis]]:
-        """Hypotheses that are there almost surely, alone or one of several."""
-        posterior, terms = self.posterior, self.posterior.linearised.terms
-        groups = [[terms[posterior.likeliest(n)].source for n in own] for own in posterior.sure]
-        apart = [[h for h in members if h.part != BOTH] for members in groups]
-        return [members for members in apart if members]
+    def sd(self) -> FloatArray:
+        """Of the powers, (r, m)."""
+        return self.lines.sd(self.expected)
 
+    def fitted(self, changes: Mapping[str, float]) -> FloatArray:
+        """Sizes of the same laws that fit best with such a loop, (m, 3)."""
+        powers, sizes = self.powers(changes), np.zeros_like(self.law_sizes)
+        for k, own in enumerate(self.law_sizes):
+            shown, parts = self.lines.shown[:, k], np.flatnonzero(own)
+            sd, columns = self.sd[shown, k], powers[:, k, parts][shown]
+            measured = self.lines.power[shown, k] / sd
+            sizes[k, parts] = bounded_least_squares(columns / sd[:, None], measured, LOWEST[parts])
+        return sizes
 
-def searched(
-    lines: Lines, believed: Values, priors: Mapping[str, float], candidates: Sequence[str]
-) -> LoopSearch:
-    """Around the fit of the most probable set."""
-    fit, known = LoopFit.nothing(lines, believed, priors), list[frozenset[str]]()
-    while True:
-        search = LoopSearch(fit, candidates)
-        best = next(iter(search.posterior.sets))
-        labels = search.posterior.labels(best)
-        if labels in known or len(known) == ROUNDS:
-            return search
-        known.append(labels)
-        fit = search.fitted(search.posterior.linearised.terms[k].source for k in best)
+    def moved(self, changes: Mapping[str, float]) -> FloatArray:
+        """Powers with such a loop by the same laws, (r, m).
+
+        While names are sought, of the sizes that fit best then: what is the same at all speeds is a
+        size, so that no change of the loop makes lines.
+        """
+        sizes = self.fitted(changes) if self.named is None else self.law_sizes
+        return _sum(self.powers(changes), sizes)
+
+    def predicted(self, speeds: FloatArray) -> FloatArray:
+        """Size of every line at these speeds, rpm, shape (r, m)."""
+        powers = law_powers(self.changed(self.changes), self.lines.orders, speeds)
+        return np.sqrt(np.maximum(_sum(powers, self.law_sizes), 0.0))
+
+    @cached_property
+    def rows(self) -> Rows:
+        """A piece for each order that shows, over the recordings."""
+        lines, each = self.lines, np.arange(float(self.lines.speeds.size))
+        pieces = []
+        for k in np.flatnonzero(lines.shown.any(axis=0)):
+            measured, excluded = (lines.measured / self.sd)[:, k], ~lines.shown[:, k]
+            name = f"order {lines.orders[k]:.5g}"
+            pieces.append(Piece(name, MOTOR_SPEED, "used", each, measured, excluded))
+        return Rows(tuple(pieces))
+
+    def _counted(self, power: FloatArray) -> FloatArray:
+        """Powers, (r, m), as the rows count them, (N,)."""
+        return np.asarray((power / self.sd).T[self.lines.shown.T])
+
+    @cached_property
+    def model(self) -> AffineModel:
+        """Around these changes; sizes are linear anyway."""
+        slopes, base = {}, np.zeros(self.rows.measured.size)
+        for name in self.priors:
+            ends = (self.changes | {name: self.changes[name] + step} for step in (STEP, -STEP))
+            up, down = map(self.moved, ends)
+            slopes[name] = self._counted(up - down) / (2.0 * STEP)
+            base -= slopes[name] * self.free.get(name, 0.0)
+        lengths = [rows.stop - rows.start for rows in self.rows.slices]
+        every = (*self._of_lines(), *self._of_loop())
+        bands = zip(self.rows.pieces, self.rows.slices, lengths, strict=True)
+        return AffineModel(
+            self.rows,
+            base,
+            slopes,
+            tuple(c for c in every if self.named is None or c.label in self.named),
+            (Discrepancy("share of its law", np.diag(self._counted(self.expected))),),
+            self.priors,
+            bands=tuple(MisfitBand(piece.name, rows, n) for piece, rows, n in bands),
+            noises=tuple(ResidualNoise(1.0, np.zeros(0), np.ones(n)) for n in lengths),
+            most_terms=len(lengths) + MOST_BESIDE,
+        )
+
+    def _of_lines(self) -> Iterator[Candidate]:
+        lines, powers = self.lines, np.abs(self.powers(self.free))
+        of_lines = {label: (slice(None), k) for label, (k, _) in self.laws.items()}
+        of_lines |= {label: tuple(np.transpose(group)) for label, group in self.in_time.items()}
+        for label, rows in of_lines.items():
+            name, (place, part) = label.rpartition(",")[0], self.laws.get(label, (None, TORQUE))
+            made = np.zeros_like(lines.measured)
+            made[rows] = np.where(lines.shown, powers[..., part], 0.0)[rows]
+            if not made.any():
+                continue
+            usual = float(np.linalg.norm(lines.measured[rows]) / np.linalg.norm(made))
+            alone = place is None or lines.orders[place] != 1.0
+            others = frozenset(o for o, (k, _) in self.laws.items() if k == place and o != label)
+            yield Candidate(
+                label,
+                "line",
+                name,
+                ("size",),
+                (Look({}, self._counted(made)[:, None], size=usual),),
+                1.0,
+                part != BOTH,
+                excludes=others if alone else frozenset(),
+                requires=others if part == BOTH else frozenset(),
+                probability=LINE_LAW,
+            )
+
+    def _of_loop(self) -> Iterator[Candidate]:
+        """Secants: to the change that the fit has, or else of usual sizes."""
+        origin, gain = self.moved(self.free), self.believed[GAINS[0]]
+        lag = LAG * float(mechanics(self.believed, np.ones(1))[0].imag) / gain
+        usuals = {FRICTION: WRONG * gain, CURRENT_LAG: lag, SENSOR_LAG: lag}
+        for name in (*LOOP_EFFECTS, *SCALES):
+            effect, usual = name in LOOP_EFFECTS, usuals.get(name, WRONG)
+            if not (name in self.candidates if effect else self.believed[name]):
+                continue
+            tried = [usual * start for start in (STARTS if effect else (1.0, -1.0))]
+            if self.sizes.get(name):
+                tried = [self.sizes[name]]
+            looks = []
+            for size in tried:
+                moved = self.moved({**self.free, name: self.free.get(name, 0.0) + size})
+                column = self._counted(moved - origin)[:, None] / size
+                looks.append(Look({}, column, 1.0 / len(tried), usual))
+            kind: Literal["effect", "parameter"] = "effect" if effect else "parameter"
+            yield Candidate(name, kind, name, ("size",), tuple(looks), 1.0, effect)
+
+    def alone(self, named: frozenset[str]) -> LoopView:
+        """Around the same loop with these hypotheses and the lines that have a law of them."""
+        places = [self.laws[label][0] for label in named if label in self.laws]
+        unnamed = ~np.isin(np.arange(len(self.lines.orders)), places)
+        lines = replace(self.lines, power=np.where(unnamed, np.nan, self.lines.power))
+        sizes = {label: size for label, size in self.sizes.items() if label in named}
+        return replace(self, lines=lines, sizes=sizes, named=named)
+
+    def refined(self, inference: Inference) -> LoopView:
+        """Around the most probable set."""
+        best = next(iter(inference.posterior.sets))
+        sizes, moved = inference.posterior.mean_of(best)
+        labels = [inference.terms[k].hypothesis for k in best]
+        there = {label: float(size[0]) for label, size in zip(labels, sizes, strict=True)}
+        free = dict(zip(inference.model.names, moved.tolist(), strict=True))
+        view = replace(self, sizes=there, free=free)
+        fitted = view.fitted(view.changes)
+        of_lines = {n: float(fitted[part]) for n, part in self.laws.items() if n in there}
+        return replace(view, sizes=there | of_lines)
 
 
 CANDIDATES = (RIPPLE, ECCENTRICITY, *LOOP_EFFECTS)
@@ -804,33 +704,42 @@ class Setting:
 
     def diagnosis(self, progress: StageProgress | None = None) -> Diagnosis:
         """Name what follows a law, describe the rest."""
-        notes = list(self.notes)
+        if not self.peaks:
+            return Diagnosis("nothing_missing", (), (), (), self._compared(None), self.notes)
+        notes, lines = list(self.notes), lines_of(self.used, [line.order for line in self.peaks])
+        sought = LoopView(lines, self.values, self.priors, self.candidates)
+        sought, inference = inferred(sought, progress, ROUNDS)
+        named = self._named(sought, inference, notes)
+        firsts = {members[0] for members in named}
+        every = inference.labels.items()
+        both = {label for label, c in every if c.name == BETWEEN and c.requires <= firsts}
+        fit, told = replace(sought, sizes={}), inference
+        if named:
+            fit, told = inferred(sought.alone(frozenset(firsts | both)))
+        if (again := self._by_true_angle(fit)) is not None:
+            return again.diagnosis()
         effects, errors = list[NamedEffect](), list[ParameterError]()
-        periodic = list[Sequence[tuple[int, int]]]()
-        fit, unnamed = None, set(range(len(self.peaks)))
-        if progress is not None:
-            progress("Seeking orders", 1, 2)
-        lines = lines_of(self.used, [line.order for line in self.peaks])
-        if self.peaks:
-            search = searched(lines, self.values, self.priors, self.candidates)
-            named = self._named(search, notes)
-            periodic = [m[0].lines for m in search.sure if m[0].name == TIME]
-            firsts = [members[0] for members in named]
-            fit = search.fitted(firsts)
-            if (again := self._by_true_angle(fit)) is not None:
-                return again.diagnosis()
-            unnamed -= {h.place for h in firsts if h.place is not None}
-            for first, *rivals in named:
-                if first.name in SCALES:
-                    believed = self.task.bench.parameters[first.name]
-                    value, tolerance = believed.value, believed.tolerance
-                    size = fit.logarithm(first.name)
-                    others = tuple(h.name for h in rivals)
-                    errors.append(ParameterError(first.name, value, tolerance, size, others))
-                else:
-                    effects.append(self._effect(search, fit, first, rivals))
+        unnamed = set(range(len(self.peaks)))
+        for first, *rivals in (members for members in named if members[0] in fit.sizes):
+            size = told.values(first)["size"]
+            others = tuple(dict.fromkeys(inference.labels[label].name for label in rivals))
+            if first in SCALES:
+                believed = self.task.bench.parameters[first]
+                value, tolerance = believed.value, believed.tolerance
+                size = self._logarithm(first, size)
+                errors.append(ParameterError(first, value, tolerance, size, others))
+                continue
+            if first in fit.laws:
+                place, part = fit.laws[first]
+                parameters = self._of_law(place, part, size)
+                unnamed.discard(place)
+            else:
+                parameters = {LOOP_EFFECTS[first]: size}
+            name, size = inference.labels[first].name, next(iter(parameters.values()))
+            chance, z = inference.probability((first, *rivals)), abs(size.value) / size.sd
+            effects.append(NamedEffect(name, parameters, chance, z, others))
         remaining = []
-        for group in periodic:
+        for group in (sought.in_time[m[0]] for m in inference.sure if m[0] in sought.in_time):
             remaining.append(self._unexplained(lines, group))
             unnamed -= {k for _, k in group}
         remaining += [self._unexplained(lines, [(-1, k)]) for k in sorted(unnamed)]
@@ -841,41 +750,44 @@ class Setting:
             tuple(remaining),
             self._compared(fit),
             tuple(notes),
-            bench_parameters={n: fit.logarithm(n) for n in self.priors} if fit else {},
+            bench_parameters={n: self._logarithm(n, told.nuisance(n)) for n in self.priors},
         )
 
-    def _named(self, search: LoopSearch, notes: list[str]) -> list[list[Hypothesis]]:
+    def _named(
+        self, view: LoopView, inference: Inference, notes: list[str]
+    ) -> list[tuple[str, ...]]:
         """Sets that are named, the loop's last and the largest line first; no error of the angle
-        but at order 1 is."""
-        named = list[list[Hypothesis]]()
-        for members in search.sure:
-            place = members[0].place
-            if members[0].name == TIME:
+        but at order 1 is, and none of the loop without a line that shows how it answers."""
+        power, labels = np.nanmax(view.lines.power, axis=0), inference.labels
+        laws, loop = list[tuple[str, ...]](), list[tuple[str, ...]]()
+        for every in inference.sure:
+            members = tuple(label for label in every if labels[label].name != BETWEEN)
+            names = [labels[label].name for label in members]
+            if not members or TIME in names:
                 continue
-            if place is None or all(h.name != ANGLE_ERROR for h in members):
-                named.append(members)
-            elif len(members) == 1:
-                size = 1e3 * search.fit.size(place, ANGLE).value
-                notes.append(GROWS.format(order=self.peaks[place].order, size_mrad=size))
+            if members[0] not in view.laws:
+                loop.append(members)
+            elif ANGLE_ERROR not in names:
+                laws.append(members)
             else:
-                notes.append(ALIKE.format(order=self.peaks[place].order))
-        power = np.nanmax(search.fit.lines.power, axis=0)
-        loop = [members for members in named if members[0].place is None]
-        laws = [members for members in named if members[0].place is not None]
-        laws.sort(key=lambda members: -power[members[0].place])
+                order = self.peaks[view.laws[members[0]][0]].order
+                size = _root(inference.values(members[0])["size"])
+                note = GROWS if len(members) == 1 else ALIKE
+                notes.append(note.format(order=order, size_mrad=1e3 * size.value))
+        laws.sort(key=lambda members: -power[view.laws[members[0]][0]])
         most = self.task.config.candidates.max_effects or MOST_EFFECTS
-        return laws[: max(0, most - len(loop))] + loop
+        return (laws[: max(1, most - len(loop))] + loop)[:most] if laws else []
 
-    def _by_true_angle(self, fit: LoopFit) -> Setting | None:
+    def _by_true_angle(self, fit: LoopView) -> Setting | None:
         """The same over the angle without the encoder's error, once it is named beside torques.
 
         Over the measured angle a torque of order n has sidebands of n ε/2 of its size.
         """
-        laws = np.flatnonzero(fit.parts.any(axis=1)).tolist()
-        first = [k for k in laws if self.peaks[k].order == 1.0 and fit.sizes[k, ANGLE]]
-        if self.true_angle or not first or len(laws) == 1:
+        sizes = fit.law_sizes
+        first = [k for k, order in enumerate(fit.lines.orders) if order == 1.0 and sizes[k, ANGLE]]
+        if self.true_angle or not first or np.count_nonzero(sizes.any(axis=1)) == 1:
             return None
-        torque, angle, between = fit.sizes[first[0]]
+        torque, angle, between = sizes[first[0]]
         ratio = between / max(torque * angle, 1e-300) ** 0.5
         phase = math.acos(min(1.0, max(-1.0, ratio)))
 
@@ -883,30 +795,25 @@ class Setting:
             (line,), _ = item.fit([1.0])
             if not np.isfinite(line):
                 return item
-            like = math.sqrt(angle) * torque_of_angle(fit.values, np.full(1, item.speed_rad_per_s))
+            loop, speed = fit.changed(fit.changes), np.full(1, item.speed_rad_per_s)
+            like = math.sqrt(angle) * torque_of_angle(loop, speed)
             turn = line / (math.sqrt(torque) * np.exp(1j * phase) + like[0])
             error = math.sqrt(angle) * np.real(turn / abs(turn) * np.exp(1j * item.angle))
             return replace(item, angle=item.angle - error, made={})
 
         return replace(self, turning=tuple(map(without_error, self.turning)), true_angle=True)
 
-    def _effect(
-        self, search: LoopSearch, fit: LoopFit, first: Hypothesis, rivals: Sequence[Hypothesis]
-    ) -> NamedEffect:
-        name, place = first.name, first.place
-        if place is None:
-            size = Estimate(fit.values[name], fit.changes_sd[name])
-            parameters = {LOOP_EFFECTS[name]: size}
-        else:
-            size, line = fit.size(place, first.part), self.peaks[place]
-            parameters = {"angle_rad": size}
-            if first.part == TORQUE:
-                held = line.order == round(line.order)
-                order = Estimate(line.order, math.nan if held else line.sd)
-                parameters = {"torque_nm": size, "order": order}
-        chance = search.posterior.probability(h.label for h in (first, *rivals))
-        others = tuple(dict.fromkeys(h.name for h in rivals))
-        return NamedEffect(name, parameters, chance, abs(size.value) / size.sd, others)
+    def _of_law(self, place: int, part: int, power: Estimate) -> dict[str, Estimate]:
+        """Parameters of a line's effect, from a coefficient of its powers."""
+        size, line = _root(power), self.peaks[place]
+        if part == ANGLE:
+            return {"angle_rad": size}
+        held = line.order == round(line.order)
+        return {"torque_nm": size, "order": Estimate(line.order, math.nan if held else line.sd)}
+
+    def _logarithm(self, name: str, change: Estimate) -> Estimate:
+        """Of a parameter's value."""
+        return replace(change, value=math.log(self.values[name]) + change.value, logarithmic=True)
 
     def _unexplained(self, lines: Lines, group: Sequence[tuple[int, int]]) -> Unexplained:
         """A line without a law, or with one that the catalogue does not have; or one in time."""
@@ -929,19 +836,29 @@ class Setting:
             self.peaks[place].score,
         )
 
-    def _compared(self, fit: LoopFit | None) -> tuple[ComparedPiece, ...]:
+    def _compared(self, fit: LoopView | None) -> tuple[ComparedPiece, ...]:
         """Every piece, with a mean alone and with all laws."""
         every = sorted(self.turning, key=lambda item: item.piece.use != "used")
         rows = Rows(tuple(item.piece for item in every))
         before = rows.stack(lambda i: every[i].predicted((), np.zeros(0)))
         after = before
         if fit is not None:
-            places = np.flatnonzero(fit.parts.any(axis=1)).tolist()
-            orders = [self.peaks[place].order for place in places]
-            speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
-            sizes = np.reshape([fit.predicted(k, speeds) for k in places], (-1, len(every)))
-            after = rows.stack(lambda i: every[i].predicted(orders, sizes[:, i]))
+            places = np.flatnonzero(fit.law_sizes.any(axis=1))
+            orders = np.asarray(fit.lines.orders)[places].tolist()
+            sizes = fit.predicted(np.array([item.speed_rad_per_s for item in every]))[:, places]
+            after = rows.stack(lambda i: every[i].predicted(orders, sizes[i]))
         return compared_pieces(rows, before, after)
+
+
+def _sum(powers: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Of the parts of each law, (…, m, 3) and (m, 3) to (…, m)."""
+    return np.asarray((powers * sizes).sum(axis=-1))
+
+
+def _root(power: Estimate) -> Estimate:
+    """A torque in N m, or an angle in rad, from its square."""
+    size = math.sqrt(max(power.value, np.finfo(float).tiny))
+    return Estimate(size, 0.5 * power.sd / size)
 
 
 def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
@@ -958,5 +875,5 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
         variances.append(variance)
         powers.append(np.abs(coefficients) ** 2 - 2.0 * variance)
     speeds = np.array([item.speed_rad_per_s for item in turning])
-    lasting = np.array([item.turns / item.turns_per_s for item in turning])
+    lasting = np.array([np.ptp(item.piece.time_s) for item in turning])
     return Lines(tuple(orders), speeds, np.array(powers), np.array(variances), lasting)

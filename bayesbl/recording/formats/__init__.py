@@ -6,6 +6,7 @@ imported when they read.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -40,7 +41,8 @@ class Format:
         What its files have at which byte, any of them; a file without is not parsed, and nothing
         of it is quoted. Empty for text.
     beside
-        Suffix of a file of the same name whose bytes follow the file's own, if it is there.
+        Where a file that belongs to it may be, seen from its folder, with ``*`` for any name: the
+        first one's bytes come with the file's own (:func:`~..input_bytes.of_two`).
     """
 
     name: str
@@ -48,7 +50,7 @@ class Format:
     module: str
     library: str = ""
     signatures: tuple[tuple[int, bytes], ...] = ()
-    beside: str = ""
+    beside: tuple[str, ...] = ()
 
     def is_begun_by(self, data: bytes) -> bool:
         """Whether bytes may be a file of this format."""
@@ -63,13 +65,32 @@ class Format:
         return reader
 
 
+CAN_LOG = Format(
+    "CAN frames", (".blf",), ".can_log", "cantools", ((0, b""),), ("{stem}.dbc", "*.dbc")
+)
+"""Also of texts whose lines are frames."""
+
+_FRAME = re.compile(
+    rb"\s*(?:\(\S+\)\s+)?\w*can\d+\s+[0-9A-F]+(?:#|\s+\[\d+\])"
+    rb"|\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s",
+    re.IGNORECASE,
+)
+"""A line of a frame, as candump and Vector's tools write it."""
+
+
+def begins_with_frames(text: bytes) -> bool:
+    """Whether most of the first lines of a text are CAN frames."""
+    lines = [line for line in text[:20_000].splitlines() if line.strip()]
+    return 2 * sum(_FRAME.match(line) is not None for line in lines) > max(2, len(lines))
+
+
 _MAT_5 = ((126, b"IM"), (126, b"MI"))
 _MAT_4 = (*((0, bytes([kind, 0, 0, 0])) for kind in range(0, 60, 10)), (0, b"\x00\x00\x03\xe8"))
 """Version 4 has no signature but the type of its first variable."""
 
 _EVERY = (
     Format("CSV, TSV", (".csv", ".tsv", ".txt", ".log", ".lvm", ".asc", ".prn"), ".csv"),
-    Format("DIAdem or KUKA trace", (".dat",), ".diadem", beside=".r64"),
+    Format("DIAdem or KUKA trace", (".dat",), ".diadem", beside=("{stem}.r64", "{stem}.R64")),
     Format("Excel", (".xlsx", ".xlsm"), ".excel", "openpyxl", ((0, b"PK\x03\x04"),)),
     Format(
         "JSON",
@@ -87,7 +108,15 @@ _EVERY = (
         ".netcdf",
         signatures=((0, b"CDF\x01"), (0, b"CDF\x02"), (0, b"CDF\x05"), *SIGNATURES),
     ),
-    Format("Parquet", (".parquet",), ".parquet", "pyarrow", ((0, b"PAR1"),)),
+    Format(
+        "Parquet",
+        (".parquet",),
+        ".parquet",
+        "pyarrow",
+        ((0, b"PAR1"),),
+        beside=("meta/info.json", "../meta/info.json", "../../meta/info.json"),
+    ),
+    CAN_LOG,
     Format(
         "ROS bag, MCAP",
         (".mcap", ".db3", ".bag"),

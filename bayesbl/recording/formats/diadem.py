@@ -15,24 +15,22 @@ import numpy as np
 from bayesbl.errors import RecordingError
 from bayesbl.recording.array_table import AnyArray, ArrayTable, numbered
 from bayesbl.recording.formats import csv
+from bayesbl.recording.input_bytes import two_of
 
-_BEGIN, _END = b"#BEGINCHANNELHEADER", b"#ENDCHANNELHEADER"
-BESIDE = ".r64"
+_BEGIN = b"#BEGINCHANNELHEADER"
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """Channels of a header and the samples that follow it in ``data``.
+    """Channels of a header and the samples of the file beside it.
 
     Raises
     ------
     RecordingError
         If the samples are missing, or fewer than the header says.
     """
-    if _BEGIN not in data:
-        return csv.read(file, data)
-    end = data.rfind(_END) + len(_END)
-    end = data.find(b"\n", end) + 1 or len(data)
-    header, samples = data[:end], data[end:]
+    header, samples = two_of(data)
+    if _BEGIN not in header:
+        return csv.read(file, header)
     channels = [_values(part) for part in header.split(_BEGIN)[1:]]
     are_stored = [not c.get(210, "").upper().startswith("IMPL") for c in channels]
     stored = sum(are_stored)
@@ -42,7 +40,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
         raise RecordingError(
             "The samples of this header are not all there.",
             file=file,
-            found=f"{values.size} numbers in {file.with_suffix(BESIDE).name} beside it",
+            found=f"{values.size} numbers in {file.stem}.r64 beside it",
             expected=f"{stored} channels of {count} samples, 64-bit floats",
         )
     interleaved = values[: count * stored].reshape(count, stored)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow
 import pyarrow.compute
 import pyarrow.parquet
 import pyarrow.types as types
 
-from bayesbl.recording.array_table import AnyArray, ArrayTable
+from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, table_of_groups
+from bayesbl.recording.input_bytes import two_of
 
 _LONGEST_LIST = 64
 
@@ -18,19 +23,46 @@ _LONGEST_LIST = 64
 def read(file: Path, data: bytes) -> ArrayTable:
     """All columns, the index that pandas may have stored among them.
 
+    Elements of lists are called as LeRobot's ``meta/info.json`` does, by joint: the first of
+    ``observation.state`` is ``shoulder_pan/observation.state.pos`` if its name there is
+    ``shoulder_pan.pos``. Of several episodes in one file, each is a group.
+
     By pyarrow, not the lighter fastparquet, which a damaged file can crash.
     """
+    data, info = two_of(data)
+    names = _names_of_elements(info)
     pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # its own reserves far more than it uses
     stored = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
     table = stored.read(use_threads=False)
     arrays: dict[str, AnyArray] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
-        arrays |= _of_lists(name, column) or {name: column.to_numpy()}
-    return ArrayTable(str(file), arrays)
+        arrays |= _of_lists(name, column, names.get(name, ())) or {name: column.to_numpy()}
+    episodes = arrays.get("episode_index", np.zeros(0)) if info else np.zeros(0)
+    starts = np.flatnonzero(np.diff(episodes)) + 1
+    if not starts.size:
+        return ArrayTable(str(file), arrays)
+    groups = []
+    for begin, end in pairwise([0, *starts.tolist(), episodes.size]):
+        columns = {name: values[begin:end] for name, values in arrays.items()}
+        groups.append(Group(f"episode_{episodes[begin]}", columns, columns.pop("timestamp", None)))
+    return table_of_groups(file, groups)
 
 
-def _of_lists(name: str, column: Any) -> dict[str, AnyArray]:
-    """``NAME[0]``, ``NAME[1]`` … of a column whose cells are lists of one length, else nothing."""
+def _names_of_elements(info: bytes) -> dict[str, list[str]]:
+    """Of each list, where LeRobot names its elements: a list of names, or one in an object."""
+    stated = json.loads(info or b"{}")
+    features = stated.get("features") if isinstance(stated, dict) else None
+    names = {}
+    for feature, about in features.items() if isinstance(features, dict) else ():
+        called = about.get("names") if isinstance(about, dict) else None
+        called = next(iter(called.values()), None) if isinstance(called, dict) else called
+        names[feature] = [*map(str, called)] if isinstance(called, list) else []
+    return names
+
+
+def _of_lists(name: str, column: Any, elements: Sequence[str]) -> dict[str, AnyArray]:
+    """``NAME[0]``, ``NAME[1]`` … of a column whose cells are lists of one length, or by the names
+    of their elements; else nothing."""
 
     kind = column.type
     if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
@@ -39,4 +71,7 @@ def _of_lists(name: str, column: Any) -> dict[str, AnyArray]:
     if len(lengths) != 1 or not 0 < (lengths[0] or 0) <= _LONGEST_LIST:
         return {}
     flat = pyarrow.compute.list_flatten(column).to_numpy().reshape(-1, lengths[0])
-    return {f"{name}[{i}]": flat[:, i] for i in range(lengths[0])}
+    if len({*elements}) != lengths[0]:
+        return {f"{name}[{i}]": flat[:, i] for i in range(lengths[0])}
+    parts = [element.partition(".") for element in elements]
+    return {f"{of}/{name}{dot}{kind}": flat[:, i] for i, (of, dot, kind) in enumerate(parts)}
