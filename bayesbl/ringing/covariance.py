@@ -39,7 +39,7 @@ from bayesbl.ringing.waveform import impacts, jacobian, jacobian_columns, misfit
 from bayesbl.sampling.convergence import Contender
 
 FACTORS = 400
-"""Posterior draws of the variance factor that are kept."""
+"""Equally likely values of the variance factor that are kept."""
 
 SAFE_SHARE = 0.2
 """Least ratio of the smallest eigenvalues of H and JᵀJ; below it, JᵀJ replaces H."""
