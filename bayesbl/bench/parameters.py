@@ -117,10 +117,8 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
 PARAMETER_INFO: Mapping[str, ParameterInfo] = {info.name: info for info in BENCH_PARAMETERS}
 
 CORRECTABLE_PARAMETERS = tuple(info.name for info in BENCH_PARAMETERS if info.correctable)
-"""Parameters whose wrong values are a separate class of explanations.
-
-See docs/design.md, "What recordings cannot tell apart".
-"""
+"""Parameters whose wrong values are a separate class of explanations. See docs/design.md, "What
+recordings cannot tell apart"."""
 
 SMALLEST_SHARPNESS_GAP = 50.0
 """α·δ below which the arctan form has no dead zone left, only a weak shaft."""
@@ -307,10 +305,8 @@ DEFAULT_DRIFT: Mapping[str, float] = MappingProxyType(
     }
 )
 """Relative standard deviation between two snapshots, by name of a bench parameter or effect. Other
-parameters do not drift unless configured.
-
-Gains and payload are set by people: they stay or are changed, and a change shows.
-"""
+parameters do not drift unless configured. Gains and payload are set by people: they stay or are
+changed, and a change shows."""
 
 
 def drift_of(name: str, stated: Mapping[str, float]) -> float:

@@ -499,10 +499,8 @@ def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatA
 
 
 def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> FloatArray:
-    """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3).
-
-    Correlations are pooled over all gaps, standard deviations over neighbouring ones.
-    """
+    """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3). Correlations
+    are pooled over all gaps, standard deviations over neighbouring ones."""
     columns = np.stack([nominal.amplitude_rpm, values[:, :, 1], values[:, :, 2]], axis=-1)
     sds = np.stack([start_angle_scatter(columns[:, :, k]) for k in range(3)], axis=-1)
     mean = nominal.amplitude_rpm.mean(axis=1)

@@ -299,11 +299,9 @@ class AmplitudeMeasurer(CurveMeasurer):
     def _against_bench(
         self, recording: Recording, fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float
     ) -> tuple[JointCheck, list[Reason]]:
-        """Compare the recording with the curve's bench, and say why δ is withheld if they differ.
-
-        A feature that differs moves δ by at most its own relative difference. It withholds δ if
-        that difference is larger than half the width of the interval of ln δ.
-        """
+        """Compare the recording with the curve's bench, and say why δ is withheld if they differ. A
+        feature that differs moves δ by at most its own relative difference. It withholds δ if that
+        difference is larger than half the width of the interval of ln δ."""
         if curve is None or gap is None:
             return joint_check(), []
         check = ringing_check(curve, measured_ringing(fit), gap)
@@ -580,11 +578,9 @@ def _noise_only(
 
 
 def _predictive(fit: Fit, level: float) -> dict[str, FloatArray]:
-    """The optimum, and the band in which a new recording of the same joint would lie.
-
-    The misfit that repeats every rotation would repeat in a new recording too. The band is
-    therefore centred on optimum plus misfit.
-    """
+    """The optimum, and the band in which a new recording of the same joint would lie. The misfit
+    that repeats every rotation would repeat in a new recording too. The band is therefore centred
+    on optimum plus misfit."""
 
     point = fit.point
     time_s = point.objective.time_s
@@ -780,11 +776,9 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
 # The paper's own search and model.
 
 WAVE_MATTERS = 0.5
-"""Largest shift of A by a load-angle harmonic, in standard deviations of A.
-
-An interval of 90 % still covers in 86 % of cases if the estimate is biased by half its standard
-deviation, and in 74 % if it is biased by a whole one.
-"""
+"""Largest shift of A by a load-angle harmonic, in standard deviations of A. An interval of 90 %
+still covers in 86 % of cases if the estimate is biased by half its standard deviation, and in 74 %
+if it is biased by a whole one."""
 
 
 def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:

@@ -129,24 +129,18 @@ def _require_changeable(bench: Bench, name: str, where: str) -> None:
 
 
 SNAPSHOTS_APART = 0.02
-"""Largest relative difference in speed between snapshots.
-
-On the published bench, a relative error of the speed changes δ by its power :data:`SPEED_POWER`.
-This tolerance moves a change of δ by at most 1 % of δ.
-"""
+"""Largest relative difference in speed between snapshots. On the published bench, a relative error
+of the speed changes δ by its power :data:`SPEED_POWER`. This tolerance moves a change of δ by at
+most 1 % of δ."""
 
 CURVE_APART = 0.05
-"""Largest relative difference in speed between a recording and a curve of another bench.
-
-Such a curve is wrong by about as much anyway.
-"""
+"""Largest relative difference in speed between a recording and a curve of another bench. Such a
+curve is wrong by about as much anyway."""
 
 SPEED_POWER = 0.4
 """d ln δ/d ln v at a given amplitude on the reference bench: 0.28 at 0.2 mrad, 0.57 at 3.5 mrad.
-
 From ``python experiments/speed_power.py``. The value near 0.5 mrad is 0.4. It predicts the error,
-reported as "some … %", to within half of itself everywhere in that range.
-"""
+reported as "some … %", to within half of itself everywhere in that range."""
 
 ROTATION_APART = 0.03
 """Largest relative difference between the fitted load rotation and that by speed and gear ratio."""

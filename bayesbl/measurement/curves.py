@@ -304,10 +304,8 @@ class SweepProblem:
 
 
 def _root_of_shifts(bench: Bench) -> FloatArray | None:
-    """Cholesky factor of the covariance of the parameter shifts, to first order.
-
-    ``None`` for a bench without identified parameters.
-    """
+    """Cholesky factor of the covariance of the parameter shifts, to first order. ``None`` for a
+    bench without identified parameters."""
     identified = bench.identified
     if identified is None:
         return None
@@ -333,21 +331,15 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
 
 
 GAPS, START_ANGLES = 20, 4
-"""Gaps and start angles of a curve on demand.
-
-Against 60 gaps, 16 start angles and 5 rotations the error of δ is far less than the uncertainty by
-the amplitude (``experiments/curve_counts.py``).
-"""
+"""Gaps and start angles of a curve on demand. Against 60 gaps, 16 start angles and 5 rotations the
+error of δ is far less than the uncertainty by the amplitude (``experiments/curve_counts.py``)."""
 
 MOST_ROTATIONS = 3
 """Simulated load rotations: more change the fitted amplitude by less than 0.03 % of δ."""
 
 DRAWS_PER_TERM = 3
-"""Swept benches per term of the linear model in the parameters.
-
-With 24 benches for seven parameters the curve's band is as wide as with 150, within 3 % (same
-command).
-"""
+"""Swept benches per term of the linear model in the parameters. With 24 benches for seven
+parameters the curve's band is as wide as with 150, within 3 % (same command)."""
 
 DEGREE = 3
 SEED = 20260301

@@ -80,10 +80,8 @@ def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> 
 
 
 def _expected_value(unknown: Unknown) -> float:
-    """Mean of the prior for a one-sided unknown, else its middle.
-
-    At its bound, derivatives toward the other side would be missed.
-    """
+    """Mean of the prior for a one-sided unknown, else its middle. At its bound, derivatives toward
+    the other side would be missed."""
     if unknown.low == unknown.centre and math.isfinite(unknown.sd):
         return unknown.centre + unknown.sd * math.sqrt(2.0 / math.pi)
     return unknown.middle

@@ -29,10 +29,8 @@ CONTRADICTED = "ringing_contradicts_bench"
 """Code of the reason that frequency and decay contradict the curve's bench."""
 
 FEWEST_EFFECTIVE = 200.0
-"""Fewest effective curve draws for which the ringing is used to weight them.
-
-At 200 the actual level of a 90 % interval is 90 ± 2 %: √(p (1 − p)/n).
-"""
+"""Fewest effective curve draws for which the ringing is used to weight them. At 200 the actual
+level of a 90 % interval is 90 ± 2 %: √(p (1 − p)/n)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,11 +225,9 @@ def _scattered(
 def _log_match(
     draws: CurveDraws, snapshot: MeasuredRinging, amplitude_rpm: FloatArray
 ) -> FloatArray:
-    """ln p(ω, τ measured | A, bench draw), shape (count,), up to a constant.
-
-    Normal, with the covariance of the fit and of the start angle. It is conditional on A, which is
-    already drawn from its own posterior.
-    """
+    """ln p(ω, τ measured | A, bench draw), shape (count,), up to a constant. Normal, with the
+    covariance of the fit and of the start angle. It is conditional on A, which is already drawn
+    from its own posterior."""
     curve = draws.curve
     ringing = curve.ringing
     assert ringing is not None
@@ -340,11 +336,9 @@ def _budgets(
     amplitudes_rpm: Sequence[FloatArray],
     calibration: Calibration | None,
 ) -> list[dict[str, float]]:
-    """For each snapshot, shares of the variance of ln δ with one source active at a time.
-
-    The variance includes the snapshot's ln δ and, through the scale, that of snapshots with known
-    gaps.
-    """
+    """For each snapshot, shares of the variance of ln δ with one source active at a time. The
+    variance includes the snapshot's ln δ and, through the scale, that of snapshots with known
+    gaps."""
     weights = np.zeros(len(chosen)) if calibration is None else calibration.weights
     zero = np.zeros(1)
     one_source = [_one_at_a_time(*each) for each in zip(chosen, amplitudes_rpm, strict=True)]

@@ -129,10 +129,8 @@ OUTCOMES: Mapping[Outcome, str] = {
         tolerance_decides gap_unseen start_unknown ramps_held nothing_told held_by_weight
         weight_unknown skew_or_play positions_exchanged known_gaps_disagree""",
 }
-"""Outcomes of an answer from best to worst, each with the codes that cause it on any route.
-
-All other codes are notes.
-"""
+"""Outcomes of an answer from best to worst, each with the codes that cause it on any route. All
+other codes are notes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,10 +136,8 @@ def compliance_check(first: HeldCompliance, last: HeldCompliance) -> JointCheck:
 
 def _deviations(last: Sequence[FloatArray], first: Sequence[FloatArray]) -> float:
     """Change over its scatter (Student's t), converted to a normal deviate of equal probability.
-
     Positions around the turn are paired by their order, as their widths are, so a lasting pattern
-    hides no change. Without scatter from repetitions, the result is 0.
-    """
+    hides no change. Without scatter from repetitions, the result is 0."""
     after, before = observations(last), observations(first)
     if np.all(after > 0.0) and np.all(before > 0.0):
         after, before = np.log(after), np.log(before)
@@ -427,9 +425,7 @@ def _numbers(
 
 def _elsewhere(flanks: Sequence[Flanks]) -> bool:
     """Whether snapshots of one file each were recorded at different positions of the turn.
-
-    Positions count as equal if their flanks overlap.
-    """
+    Positions count as equal if their flanks overlap."""
     levels = [flank.level for flank in flanks if flank.level is not None]
     if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
         return False
@@ -555,10 +551,7 @@ def _mean_draws(
     by_file: Sequence[FloatArray], shape: tuple[int, ...], generator: np.random.Generator
 ) -> FloatArray:
     """Draws of a mean over files, or over cycles of one file: Student's t, of logarithms if
-    positive.
-
-    A single value has no known scatter, and is repeated.
-    """
+    positive. A single value has no known scatter, and is repeated."""
     values = observations(by_file)
     positive = bool(np.all(values > 0.0))
     transformed = np.log(values) if positive else values

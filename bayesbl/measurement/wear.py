@@ -521,11 +521,9 @@ def _step(log_likelihood: FloatArray, largest: float) -> float:
 def _growth_needed(
     distance: FloatArray, jump: FloatArray, generator: np.random.Generator
 ) -> FloatArray:
-    """Mean growth at which a gamma process first covers a distance; 0 if it already has.
-
-    At a mean growth of m, the growth is gamma distributed with shape m / jump and scale ``jump``.
-    The result is the m at which a uniformly drawn share of it lies below the distance.
-    """
+    """Mean growth at which a gamma process first covers a distance; 0 if it already has. At a mean
+    growth of m, the growth is gamma distributed with shape m / jump and scale ``jump``. The result
+    is the m at which a uniformly drawn share of it lies below the distance."""
     distance_ahead = np.maximum(distance, 0.0)
     jumps = np.clip(distance_ahead / jump, 1e-12, _SMOOTH)
     shape = gdtrib(1.0, generator.uniform(size=jumps.size), jumps)

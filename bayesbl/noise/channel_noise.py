@@ -216,11 +216,9 @@ def _unseen(variance: FloatArray, rounding: FloatArray) -> FloatArray | None:
 
 
 def _passed_on(noise: FloatArray, unseen: FloatArray) -> FloatArray:
-    """Unseen rounding of the first channel as the controller passes it to the others.
-
-    The gains are those of that channel's noise (c, n), by regression. A correlation between the
-    channels is not assumed: if the recorder rounds, not the encoder, there is none.
-    """
+    """Unseen rounding of the first channel as the controller passes it to the others. The gains are
+    those of that channel's noise (c, n), by regression. A correlation between the channels is not
+    assumed: if the recorder rounds, not the encoder, there is none."""
     power = float(noise[0] @ noise[0])
     if power == 0.0:
         return np.zeros_like(unseen)
@@ -232,10 +230,8 @@ def _passed_on(noise: FloatArray, unseen: FloatArray) -> FloatArray:
 
 
 def _yule_walker(d: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Φ of the highest order, shape (p, c, c), and the innovations' covariance (c, c).
-
-    From the autocovariance of d, shape (c, n), plus ``extra`` of each channel alone, (c, p + 1).
-    """
+    """Φ of the highest order, shape (p, c, c), and the innovations' covariance (c, c). From the
+    autocovariance of d, shape (c, n), plus ``extra`` of each channel alone, (c, p + 1)."""
     channels, n = d.shape
     lags = [
         d[:, k:] @ d[:, : n - k].T / n + np.diag(channel_extra)
@@ -252,11 +248,9 @@ def _yule_walker(d: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArr
 def _autoregression(
     d: FloatArray, order: int, complete_past: BoolArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c).
-
-    All orders use the same samples, so that their likelihoods can be compared: those with a
-    complete past, shape (n − HIGHEST_ORDER,).
-    """
+    """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c). All
+    orders use the same samples, so that their likelihoods can be compared: those with a complete
+    past, shape (n − HIGHEST_ORDER,)."""
     channels, n = d.shape
     chosen = slice(None) if complete_past is None else complete_past
     present = d[:, HIGHEST_ORDER:][:, chosen]

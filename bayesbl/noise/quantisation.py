@@ -181,10 +181,8 @@ class Rounding:
         return rounding + steps.drawn(exact, rng)
 
     def _steps_behind(self, residual: FloatArray) -> SpeedSteps | None:
-        """The steps that are consistent with the residual, (n,).
-
-        ``None`` for differences over less than a sample, no two of which share a count.
-        """
+        """The steps that are consistent with the residual, (n,). ``None`` for differences over less
+        than a sample, no two of which share a count."""
         steps = self.steps
         if steps is None or (
             float(np.mean(residual**2)) <= BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0

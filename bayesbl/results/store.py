@@ -93,10 +93,8 @@ class _Later(list[tuple[Any, Any]]):
 
 
 def _write_netcdf(tree: xr.DataTree, path: Path) -> None:
-    """Write as ``tree.to_netcdf`` does, in a third of the time.
-
-    A definition after values makes NetCDF rewrite everything defined so far.
-    """
+    """Write as ``tree.to_netcdf`` does, in a third of the time. A definition after values makes
+    NetCDF rewrite everything defined so far."""
     import netCDF4
 
     later = _Later()

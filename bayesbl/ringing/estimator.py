@@ -45,17 +45,13 @@ from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
 EVEN_TOLERANCE = 0.1
 """Largest distance of a time stamp from an even grid, in sampling periods, that counts as even.
-
 Time stamps rounded to a tenth of the period are common, and real jitter of that size is harmless.
-It moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz.
-"""
+It moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz."""
 
 HARMLESS_JITTER_S = 5e-4
-"""RMS distance σ from the grid up to which time stamps count as even, whatever the period.
-
-Such jitter averages out like noise, except that the ringing appears smaller by (ωσ)²/2, 0.05 % at
-10 Hz.
-"""
+"""RMS distance σ from the grid up to which time stamps count as even, whatever the period. Such
+jitter averages out like noise, except that the ringing appears smaller by (ωσ)²/2, 0.05 % at 10
+Hz."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,9 +95,7 @@ def guesses(objective: Objective, count: int) -> FloatArray:
 
 def _baseline_power(speed_rpm: FloatArray) -> FloatArray:
     """Drop in the sum of squares by one sinusoid, rpm², shape (f,): a zero-padded periodogram.
-
-    Frequencies are multiples of 1 / (PERIODOGRAM_PADDING · duration).
-    """
+    Frequencies are multiples of 1 / (PERIODOGRAM_PADDING · duration)."""
     n = speed_rpm.size
     spectrum = np.fft.rfft(speed_rpm, PERIODOGRAM_PADDING * n)
     return np.asarray(2.0 / n * np.abs(spectrum) ** 2)

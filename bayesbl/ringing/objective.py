@@ -26,10 +26,8 @@ from bayesbl.ringing.symbols import (
 )
 
 FURTHEST_START = 1e-3 / float(np.finfo(np.float64).eps)
-"""Largest distance of the first impact from time zero, in sampling periods.
-
-Beyond it, times are rounded by more than a thousandth of a sample, so pulses cannot be placed.
-"""
+"""Largest distance of the first impact from time zero, in sampling periods. Beyond it, times are
+rounded by more than a thousandth of a sample, so pulses cannot be placed."""
 
 
 @dataclass(frozen=True, slots=True)

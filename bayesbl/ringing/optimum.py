@@ -272,11 +272,8 @@ def _initial_steps(objective: Objective, start: FloatArray) -> FloatArray:
 
 
 def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
-    """The equivalent solution with A > 0, 0 < T < T_w and t0 in the first rotation.
-
-    If t0 or T has a range, the first T_w of that range counts instead. A form outside a range is
-    not used.
-    """
+    """The equivalent solution with A > 0, 0 < T < T_w and t0 in the first rotation. If t0 or T has
+    a range, the first T_w of that range counts instead. A form outside a range is not used."""
     names = objective.searched
     movable = {START, SEPARATION} <= set(names)
     value = objective.model.named(point)

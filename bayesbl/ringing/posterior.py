@@ -196,10 +196,8 @@ def complete(
 
 
 def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
-    """Share of draws within half a standard deviation of a bound of the range, by symbol.
-
-    It is near 0 if the posterior ends before the bound, and a quarter if it is cut off at its peak.
-    """
+    """Share of draws within half a standard deviation of a bound of the range, by symbol. It is
+    near 0 if the posterior ends before the bound, and a quarter if it is cut off at its peak."""
     low, high = bounds(objective)
     near = 0.5 * points.std(axis=(0, 1))
     close = (points < low + near) | (points > high - near)
@@ -315,10 +313,8 @@ def _nested_over_modes(point: PointEstimate, seed: np.random.SeedSequence) -> Fl
 def _box(
     objective: Objective, target: LogPosterior, centre: FloatArray, scale: float
 ) -> tuple[FloatArray, FloatArray]:
-    """A box around a mode that overlaps no other mode's box.
-
-    Modes are at least a quarter of a ringing apart in t0 or T.
-    """
+    """A box around a mode that overlaps no other mode's box. Modes are at least a quarter of a
+    ringing apart in t0 or T."""
     sd = np.sqrt(scale) * np.linalg.norm(scatter_root(objective, centre), axis=1)
     half = HALF_WIDTH_SD * sd
     frequency = objective.model.named(centre)[FREQUENCY]
@@ -331,10 +327,8 @@ def _box(
 def _nested(
     target: LogPosterior, low: FloatArray, high: FloatArray, seed: np.random.SeedSequence
 ) -> tuple[FloatArray, float]:
-    """Nested sampling of a box: equally weighted points, shape (n, d), and the log evidence.
-
-    The evidence is that under a flat prior of density one.
-    """
+    """Nested sampling of a box: equally weighted points, shape (n, d), and the log evidence. The
+    evidence is that under a flat prior of density one."""
     from dynesty import NestedSampler
 
     run_seed, weight_seed = seed.spawn(2)

@@ -182,10 +182,8 @@ def _quadratic_columns(x: FloatArray) -> FloatArray:
 
 
 def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:
-    """Minimum of the fitted quadratic, and whether it lies well inside the cloud.
-
-    The curvature is made positive, and the step is limited to the cloud.
-    """
+    """Minimum of the fitted quadratic, and whether it lies well inside the cloud. The curvature is
+    made positive, and the step is limited to the cloud."""
     gradient = coefficients[1 : 1 + d]
     curvature = np.zeros((d, d))
     curvature[np.triu_indices(d)] = coefficients[1 + d :]

@@ -19,25 +19,19 @@ R_HAT_GOOD = 1.01
 R_HAT_BAD = 1.05
 FEWEST_EFFECTIVE = 400.0
 """Effective draws below which it is reported: the actual level of a 90 % interval is 90 ± 1.5 %.
-
 The share of the posterior between two quantiles of n draws has the standard deviation √(p (1 −
-p)/n), with level p. (The same number as 100 in each of four chains, Vehtari et al. 2021.)
-"""
+p)/n), with level p. (The same number as 100 in each of four chains, Vehtari et al. 2021.)"""
 STEPS_PER_AUTOCORRELATION = 50.0
 WINDOW = 5.0
 """Autocorrelation times over which a chain's autocorrelation is summed."""
 WEAKEST_SIGNAL_TO_NOISE = 6.0
-"""A/σ_A below which the answer is withheld: noise alone hardly ever reaches it.
-
-The search takes the best of many start times, periods and frequencies. In 160 recordings of noise
-alone it finds 3.8 ± 0.9, at most 5.5 (``configs/noise_alone.toml``); none gave an answer.
-"""
+"""A/σ_A below which the answer is withheld: noise alone hardly ever reaches it. The search takes
+the best of many start times, periods and frequencies. In 160 recordings of noise alone it finds 3.8
+± 0.9, at most 5.5 (``configs/noise_alone.toml``); none gave an answer."""
 AT_BOUND_SHARE, AT_BOUND_TOO_MUCH = 0.05, 0.2
-"""Share of draws near a bound that is reported, and share at which the answer is withheld.
-
-Within half a standard deviation of a bound lie 7 % of a normal posterior that is cut off two
-standard deviations from its peak, 14 % if cut off at one, 24 % if cut off at the peak.
-"""
+"""Share of draws near a bound that is reported, and share at which the answer is withheld. Within
+half a standard deviation of a bound lie 7 % of a normal posterior that is cut off two standard
+deviations from its peak, 14 % if cut off at one, 24 % if cut off at the peak."""
 STUCK_ACCEPTANCE = 0.05
 OTHER_ANSWER_SHARE = 0.05
 """Probability of another optimum, with another amplitude, above which the answer is withheld."""

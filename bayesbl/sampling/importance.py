@@ -83,10 +83,8 @@ def _quadratic(
     points: FloatArray, log_density: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Peak (d,) and covariance (d, d) of the quadratic through the weighted log density (m,).
-
     Weights are at least a thousandth of their mean, so that the quadratic also fits where draws are
-    rare.
-    """
+    rare."""
     weights = np.where(np.isfinite(log_density), np.maximum(weights, 1e-3 * weights.mean()), 0.0)
     mean = np.average(points, axis=0, weights=weights)
     sd = np.sqrt(np.average((points - mean) ** 2, axis=0, weights=weights))
@@ -181,11 +179,9 @@ def _mixed(
     box: tuple[FloatArray, FloatArray],
     generator: np.random.Generator,
 ) -> FloatArray:
-    """Move points (m, d) in a box by Gibbs sampling of the coordinates that the box cuts.
-
-    In a narrow corner few proposals have weight, such as coordinates near zero of which only the
-    sum is known.
-    """
+    """Move points (m, d) in a box by Gibbs sampling of the coordinates that the box cuts. In a
+    narrow corner few proposals have weight, such as coordinates near zero of which only the sum is
+    known."""
     low, high = box
     sd = np.sqrt(np.diag(covariance))
     correlation, begin, end = covariance / np.outer(sd, sd), (low - peak) / sd, (high - peak) / sd
