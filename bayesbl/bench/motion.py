@@ -178,10 +178,8 @@ def cycle(
                 speed.append(direction * v_ramp)
                 slope.append(direction * a_ramp)
         start_s, i = start_s + total_s + dwell_s, i + 1
-    slopes = None if jerk_rpm_per_s2 is None else np.array(slope)
-    return Motion(
-        through(np.array(time), np.array(speed), slopes), duration_s, float(points_rad[0])
-    )
+    bends = None if jerk_rpm_per_s2 is None else np.array(slope)
+    return Motion(through(np.array(time), np.array(speed), bends), duration_s, float(points_rad[0]))
 
 
 def _fastest_over(path: float, acceleration: float, jerk: float) -> float:

@@ -196,10 +196,8 @@ def check_parameters(matrix: FloatArray) -> None:
 
 def _check_gap(matrix: FloatArray) -> None:
     gap_rad = matrix[:, Slot.gap_rad]
-    out_of_range = (gap_rad < 0.0) | (gap_rad > math.pi)
-    _refuse_where(
-        out_of_range, matrix, Slot.gap_rad, "zero or a number above it, at most π: half a turn"
-    )
+    wrong = (gap_rad < 0.0) | (gap_rad > math.pi)
+    _refuse_where(wrong, matrix, Slot.gap_rad, "zero or a number above it, at most π: half a turn")
     gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
     sharpness = matrix[:, Slot.stiffness_sharpness_per_rad]
     arctan = (matrix[:, Slot.hard_dead_zone] == 0.0) & (matrix[:, Slot.rigid] == 0.0)

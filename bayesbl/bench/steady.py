@@ -89,11 +89,9 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
     a = np.empty((matrix.shape[0], size, size))
     for row, system in zip(linear, a, strict=True):
         kernel.contact_matrix(row, system)
-    absences = {kernel.DAHL: np.ones_like(rigid), kernel.TWIST: rigid, kernel.TWIST_SPEED: rigid}
-    absences |= {
-        state: linear[:, slot] == 0.0 for slot, states in _PARTS.items() for state in states
-    }
-    for state, absent in absences.items():
+    lacks = {kernel.DAHL: np.ones_like(rigid), kernel.TWIST: rigid, kernel.TWIST_SPEED: rigid}
+    lacks |= {state: linear[:, slot] == 0.0 for slot, states in _PARTS.items() for state in states}
+    for state, absent in lacks.items():
         if state < size:
             a[absent, state, :] = 0.0
             a[absent, :, state] = 0.0

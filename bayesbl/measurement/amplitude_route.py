@@ -796,14 +796,9 @@ def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
         yield Reason("box_search_missed", values)
     no_baseline = point.optimum.model.baseline_harmonics == 0
     if no_baseline and curve is not None and curve.fingerprint is None:
-        amplitude, with_baseline = (
-            point.optimum.symbols[AMPLITUDE],
-            amplitude_with_baseline_rpm(point),
-        )
-        if abs(with_baseline - amplitude) > WAVE_MATTERS * math.sqrt(
-            fit.point.spread.sandwich[0, 0]
-        ):
-            values = {"amplitude_rpm": amplitude, "with_baseline_rpm": with_baseline}
+        without, with_one = point.optimum.symbols[AMPLITUDE], amplitude_with_baseline_rpm(point)
+        if abs(with_one - without) > WAVE_MATTERS * math.sqrt(fit.point.spread.sandwich[0, 0]):
+            values = {"amplitude_rpm": without, "with_baseline_rpm": with_one}
             yield Reason("no_baseline", values)
 
 

@@ -311,11 +311,9 @@ def _root_of_shifts(bench: Bench) -> FloatArray | None:
         return None
     names = list(bench.tolerances)
     covariance = np.eye(len(names)) / 3.0  # variance of uniform shifts
-    identified_index = [names.index(name) for name in identified.names]
+    index = [names.index(name) for name in identified.names]
     scale = np.array([bench.value(name) / bench.tolerances[name] for name in identified.names])
-    covariance[np.ix_(identified_index, identified_index)] = (
-        np.outer(scale, scale) * identified.covariance
-    )
+    covariance[np.ix_(index, index)] = np.outer(scale, scale) * identified.covariance
     return np.asarray(np.linalg.cholesky(covariance))
 
 

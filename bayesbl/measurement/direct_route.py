@@ -537,17 +537,14 @@ def unit_and_meaning(name: str) -> tuple[str, str]:
     if name.startswith(DRIFT):
         unit, meaning = unit_and_meaning(name.removeprefix(DRIFT))
         return unit, f"change since the first snapshot of: {meaning}"
-    block, _, coordinate = name.partition("__")
+    block, _, slot = name.partition("__")
     if block in (LEARNED_TORQUE, ENCODER_ERROR):
-        block_name = block.replace("_", " ")
-        if coordinate.startswith("shift"):
-            return "1", f"where the variable of the {block_name} is at the first sample, rad or s"
-        return (
-            "rad" if block == ENCODER_ERROR else "N m",
-            f"coefficient of the {block_name}: {coordinate}",
-        )
+        kind = block.replace("_", " ")
+        if slot.startswith("shift"):
+            return "1", f"where the variable of the {kind} is at the first sample, rad or s"
+        return "rad" if block == ENCODER_ERROR else "N m", f"coefficient of the {kind}: {slot}"
     meaning = OF_NO_BENCH.get(name) or declaration_of(name).meaning
-    return unit_of(name) or "1", f"{meaning} of {block}" if coordinate else meaning
+    return unit_of(name) or "1", f"{meaning} of {block}" if slot else meaning
 
 
 def _unknown(*dims: str) -> Callable[[str], Variable]:

@@ -138,24 +138,20 @@ def gaps(
     total = chains * count * copies
     shared = _shared_draws(curves, total, np.random.default_rng(shared_seed))
     amplitudes = [
-        _scattered(
-            curve, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(own_seed)
-        )
-        for curve, s, own_seed in zip(curves, snapshots, own_seeds, strict=True)
+        _scattered(c, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(child))
+        for c, s, child in zip(curves, snapshots, own_seeds, strict=True)
     ]
     prior = np.sum([_log(c.log_slope(a)) for c, a in zip(curves, amplitudes, strict=True)], axis=0)
     weights, notes = prior, tuple[Reason, ...]()
     contradictions = [False] * len(snapshots)
     if has_ringing:
-        log_matches = [
-            _log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)
-        ]
+        matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
         threshold = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
         contradictions = [
-            bool(-2.0 * log_match.max() > threshold and _is_inside(curve, amplitude))
-            for curve, amplitude, log_match in zip(curves, amplitudes, log_matches, strict=True)
+            bool(-2.0 * match.max() > threshold and _is_inside(curve, amplitude))
+            for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
         ]
-        posterior_weights = prior + np.sum(log_matches, axis=0)
+        posterior_weights = prior + np.sum(matches, axis=0)
         effective = effective_size(posterior_weights)
         if can_weight and effective >= FEWEST_EFFECTIVE:
             weights = posterior_weights
@@ -165,9 +161,7 @@ def gaps(
     index = (picked + weights.size // chains * np.arange(chains)[:, None]).ravel()
     chosen = [draws.take(index) for draws in shared]
     chosen_amplitudes = [candidates[index] for candidates in amplitudes]
-    by_curve = [
-        draws.gap(amplitude) for draws, amplitude in zip(chosen, chosen_amplitudes, strict=True)
-    ]
+    by_curve = [draws.gap(a) for draws, a in zip(chosen, chosen_amplitudes, strict=True)]
     calibration = Calibration.of(known, by_curve, np.random.default_rng(known_seed))
     scale = np.ones(index.size) if calibration is None else calibration.scale
     if calibration is not None:
@@ -308,26 +302,24 @@ class Calibration:
         generator: np.random.Generator,
     ) -> Calibration | None:
         """Scale by ``by_curve``, draws (n,) of each snapshot's δ; ``None`` if no gap is known."""
-        known_gaps = {k: gap for k, gap in enumerate(known) if gap is not None}
-        if not known_gaps:
+        stated = {k: gap for k, gap in enumerate(known) if gap is not None}
+        if not stated:
             return None
-        relative_sd = np.array([gap.sd_rad / gap.delta_rad for gap in known_gaps.values()])
+        relative_sd = np.array([gap.sd_rad / gap.delta_rad for gap in stated.values()])
         share = relative_sd**-2.0 / np.sum(relative_sd**-2.0)
-        noise = relative_sd[:, None] * generator.standard_normal(
-            (len(known_gaps), by_curve[0].size)
-        )
-        centre = np.log([gap.delta_rad for gap in known_gaps.values()])
-        log_scales = centre[:, None] + noise - np.log([by_curve[k] for k in known_gaps])
+        noise = relative_sd[:, None] * generator.standard_normal((len(stated), by_curve[0].size))
+        centre = np.log([gap.delta_rad for gap in stated.values()])
+        log_scales = centre[:, None] + noise - np.log([by_curve[k] for k in stated])
         weights = np.zeros(len(by_curve))
-        weights[list(known_gaps)] = share
+        weights[list(stated)] = share
         log_scale = share @ log_scales
         departures = log_scales - log_scale
-        tolerance = normal_isf(0.5 * FALSE_ALARM / len(known_gaps)) * departures.std(axis=1)
+        tolerance = normal_isf(0.5 * FALSE_ALARM / len(stated)) * departures.std(axis=1)
         return cls(
             np.exp(log_scale),
             weights,
             float(share**2 @ relative_sd**2),
-            len(known_gaps) == 1 or bool(np.all(np.abs(departures.mean(axis=1)) <= tolerance)),
+            len(stated) == 1 or bool(np.all(np.abs(departures.mean(axis=1)) <= tolerance)),
         )
 
 
@@ -349,15 +341,13 @@ def _budgets(
             continue
         factors = -weights
         factors[k] += 1.0
-        contributing = [(f, a) for f, a in zip(factors, one_source, strict=True) if f]
+        active = [(f, a) for f, a in zip(factors, one_source, strict=True) if f]
         variances = {
-            name: _variance(
-                sum((f * logs.get(name, zero) for f, (_, logs) in contributing), start=zero)
-            )
+            name: _variance(sum((f * logs.get(name, zero) for f, (_, logs) in active), start=zero))
             for name in sources
         }
         if scatter > 0.0:
-            variances["start_angle"] = sum((f * sd) ** 2 for f, (sd, _) in contributing)
+            variances["start_angle"] = sum((f * sd) ** 2 for f, (sd, _) in active)
         if calibration is not None:
             variances["known_gap"] = calibration.known_variance
         order = ["noise", "start_angle", *curve_draws.rows, "known_gap"]

@@ -109,11 +109,7 @@ def beside_bench(
         simulated.append(gains | _values(rotation, waves))
     items = []
     for feature in features(measured, period_s):
-        values = [
-            bench_features[feature.name]
-            for bench_features in simulated
-            if feature.name in bench_features
-        ]
+        values = [by_name[feature.name] for by_name in simulated if feature.name in by_name]
         if values:
             mean, sd = float(np.mean(values)), float(np.std(values))
             sd = math.hypot(feature.standard_error, sd)
@@ -222,10 +218,8 @@ def _values(folded: FloatArray, waves: FloatArray) -> dict[str, float]:
     power = np.sum(terms.sum(axis=1) ** 2 - np.sum(terms**2, axis=1), axis=1)
     sizes = np.sqrt(np.maximum(power / (rotations * (rotations - 1)), 0.0))
     values = {} if len(folded) == 1 else {MEAN_CURRENT: float(folded[1].mean())}
-    for name, channel_sizes in zip(("speed", "current"), sizes.tolist(), strict=False):
-        values |= {
-            harmonic_name(name, k): size for k, size in zip(HARMONICS, channel_sizes, strict=True)
-        }
+    for name, row in zip(("speed", "current"), sizes.tolist(), strict=False):
+        values |= {harmonic_name(name, k): size for k, size in zip(HARMONICS, row, strict=True)}
     return values
 
 

@@ -164,11 +164,7 @@ def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
 def outcome_of(reasons: Iterable[Reason]) -> Outcome:
     """The worst outcome that these reasons cause."""
     codes = {reason.code for reason in reasons}
-    return [
-        outcome
-        for outcome, codes_of_outcome in OUTCOMES.items()
-        if outcome == "converged" or codes & {*codes_of_outcome.split()}
-    ][-1]
+    return [o for o, text in OUTCOMES.items() if o == "converged" or codes & {*text.split()}][-1]
 
 
 class CheckItem(TypedDict):

@@ -33,9 +33,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     groups: dict[str, xr.Dataset] = {}
     for result in routes:
         stacked = _stacked({a.name: a.groups for a in result.answers}, config)
-        groups |= {
-            f"{result.route}/{name}": data for name, data in {**stacked, **result.shared}.items()
-        }
+        groups |= {f"{result.route}/{n}": data for n, data in {**stacked, **result.shared}.items()}
     gap_draws = {a.name: a.delta_rad for a in measured.answers if a.delta_rad is not None}
     if gap_draws:
         gaps = {name: datasets({GAP: {"delta_rad": draws}}) for name, draws in gap_draws.items()}

@@ -73,9 +73,7 @@ class Kind:
     @property
     def probability(self) -> float:
         median, deviation = EXPONENT
-        low, high = (
-            np.log(np.asarray(exponent) / median) / deviation for exponent in self.exponents
-        )
+        low, high = (np.log(np.asarray(end) / median) / deviation for end in self.exponents)
         return float(ndtr(high) - ndtr(low))
 
 

@@ -233,10 +233,7 @@ def _yule_walker(d: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArr
     """Φ of the highest order, shape (p, c, c), and the innovations' covariance (c, c). From the
     autocovariance of d, shape (c, n), plus ``extra`` of each channel alone, (c, p + 1)."""
     channels, n = d.shape
-    lags = [
-        d[:, k:] @ d[:, : n - k].T / n + np.diag(channel_extra)
-        for k, channel_extra in enumerate(extra.T)
-    ]
+    lags = [d[:, k:] @ d[:, : n - k].T / n + np.diag(row) for k, row in enumerate(extra.T)]
     orders = range(HIGHEST_ORDER)
     past = np.block([[lags[k - j] if k >= j else lags[j - k].T for k in orders] for j in orders])
     present = np.concatenate(lags[1:], axis=1)

@@ -56,12 +56,8 @@ def file_sha256(path: str | Path) -> str:
 
 def code_versions() -> dict[str, str]:
     """All versions that may change the numbers: this code, Python, dependencies."""
-    package_version = f"{bayesbl.__version__}, commit {git_commit()}"
-    return {
-        "bayesbl": package_version,
-        "python": platform.python_version(),
-        **dependency_versions(),
-    }
+    package = f"{bayesbl.__version__}, commit {git_commit()}"
+    return {"bayesbl": package, "python": platform.python_version(), **dependency_versions()}
 
 
 @cache

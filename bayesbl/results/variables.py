@@ -109,9 +109,7 @@ def columns(group: Group, sources: Sequence[object]) -> dict[str, object]:
     """Values for :func:`dataset` from several objects, one value each, NaN for ``None``."""
     names = _attributes(group, sources[0]) if sources else ()
     values = {name: [getattr(source, name) for source in sources] for name in names}
-    return {
-        n: [np.nan if value is None else value for value in column] for n, column in values.items()
-    }
+    return {n: [np.nan if v is None else v for v in column] for n, column in values.items()}
 
 
 def datasets(groups: Mapping[Group, object]) -> dict[str, xr.Dataset]:

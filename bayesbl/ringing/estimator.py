@@ -215,13 +215,9 @@ class Estimator:
     def at_rival(self, point: PointEstimate, rival: Rival) -> PointEstimate:
         """The point estimate at a rival optimum, of the same prepared recording."""
         objective = point.objective
-        rival_point = self.around(
-            point.recording, objective, promoted(objective, point.optimum, rival)
-        )
-        promoted_point = replace(
-            point, optimum=rival_point.optimum, noise=rival_point.noise, spread=rival_point.spread
-        )
-        return promoted_point.shaken(point.shaking)
+        new = self.around(point.recording, objective, promoted(objective, point.optimum, rival))
+        result = replace(point, optimum=new.optimum, noise=new.noise, spread=new.spread)
+        return result.shaken(point.shaking)
 
     def fit(
         self,

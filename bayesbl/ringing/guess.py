@@ -266,9 +266,7 @@ def first_turn(
     Without a range, t0 starts at ``begin_s`` and T at 0.
     """
     begins = {START: begin_s, SEPARATION: 0.0} | range_starts(model)
-    return shifted_by_rotations(
-        values, {n: begin for n, begin in begins.items() if n in model.searched}
-    )
+    return wrapped(values, {n: begin for n, begin in begins.items() if n in model.searched})
 
 
 def range_starts(model: DisturbanceModel) -> dict[str, float]:
@@ -276,7 +274,7 @@ def range_starts(model: DisturbanceModel) -> dict[str, float]:
     return {name: model.ranges[name][0] for name in (START, SEPARATION) if name in model.ranges}
 
 
-def shifted_by_rotations(values: dict[str, Value], begins: Mapping[str, float]) -> dict[str, Value]:
+def wrapped(values: dict[str, Value], begins: Mapping[str, float]) -> dict[str, Value]:
     """Shift symbols by whole rotations into the rotation that starts at ``begins``, s."""
     rotation = values[ROTATION]
     return values | {n: begin + (values[n] - begin) % rotation for n, begin in begins.items()}

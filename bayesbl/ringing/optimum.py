@@ -29,7 +29,7 @@ from bayesbl.ringing.guess import (
     phase_distance_s,
     range_starts,
     search_window,
-    shifted_by_rotations,
+    wrapped,
 )
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.search import SearchHistory, minimise, refine
@@ -192,7 +192,7 @@ def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
             START: value[START] - value[SEPARATION] + shift,
             SEPARATION: -value[SEPARATION] % value[ROTATION],
         }
-        neighbour = shifted_by_rotations(neighbour, range_starts(model))
+        neighbour = wrapped(neighbour, range_starts(model))
         neighbours.append(np.array([neighbour[name] for name in names]))
     return neighbours
 

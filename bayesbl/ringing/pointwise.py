@@ -134,14 +134,8 @@ def _whitened(point: PointEstimate, columns: FloatArray) -> FloatArray:
     if noise.differentiated:
         columns = np.cumsum(np.where(used[:, None], columns - columns[used].mean(axis=0), 0.0), 0)
     order = noise.order
-    columns_of_innovations = np.column_stack(
-        [innovations(column, noise.coefficients) for column in columns.T]
-    )
-    return (
-        columns_of_innovations
-        / innovation_sd(noise)
-        * _known_innovations(used, order)[order:, None]
-    )
+    e = np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
+    return e / innovation_sd(noise) * _known_innovations(used, order)[order:, None]
 
 
 def _known_innovations(used: BoolArray, order: int) -> FloatArray:

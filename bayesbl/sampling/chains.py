@@ -229,16 +229,14 @@ class _DifferentialEvolution:
             first = random.randint(size, size=moving.shape)
             second = (first + random.randint(1, size, size=moving.shape)) % size
             pair = [np.take_along_axis(others, place, axis=1).ravel() for place in (first, second)]
-            indices = moving.ravel()
-            length = gamma * (1.0 + GAMMA_SCATTER * random.randn(indices.size, 1))
-            proposals = state.coords[indices] + length * (
-                state.coords[pair[0]] - state.coords[pair[1]]
-            )
-            log_prob = model.log_prob_fn(proposals)
-            is_accepted = np.log(random.rand(indices.size)) < log_prob - state.log_prob[indices]
-            state.coords[indices[is_accepted]] = proposals[is_accepted]
-            state.log_prob[indices[is_accepted]] = log_prob[is_accepted]
-            accepted[indices[is_accepted]] = True
+            index = moving.ravel()
+            length = gamma * (1.0 + GAMMA_SCATTER * random.randn(index.size, 1))
+            trial = state.coords[index] + length * (state.coords[pair[0]] - state.coords[pair[1]])
+            log_prob = model.log_prob_fn(trial)
+            is_accepted = np.log(random.rand(index.size)) < log_prob - state.log_prob[index]
+            state.coords[index[is_accepted]] = trial[is_accepted]
+            state.log_prob[index[is_accepted]] = log_prob[is_accepted]
+            accepted[index[is_accepted]] = True
         return state, accepted
 
 

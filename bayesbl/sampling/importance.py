@@ -186,16 +186,13 @@ def _mixed(
     sd = np.sqrt(np.diag(covariance))
     correlation, begin, end = covariance / np.outer(sd, sd), (low - peak) / sd, (high - peak) / sd
     cut = np.maximum(begin, -end) > -WITHIN_SD
-    precision, whitened_cut = (
-        np.linalg.inv(correlation[np.ix_(cut, cut)]),
-        ((points - peak) / sd)[:, cut],
-    )
-    for i in np.tile(np.arange(whitened_cut.shape[1]), SWEEPS):
+    precision, z = np.linalg.inv(correlation[np.ix_(cut, cut)]), ((points - peak) / sd)[:, cut]
+    for i in np.tile(np.arange(z.shape[1]), SWEEPS):
         conditional_sd = precision[i, i] ** -0.5
-        mean = whitened_cut[:, i] - whitened_cut @ precision[i] * conditional_sd**2
-        share = generator.random(len(whitened_cut))
+        mean = z[:, i] - z @ precision[i] * conditional_sd**2
+        share = generator.random(len(z))
         ends = (begin[cut][i] - mean) / conditional_sd, (end[cut][i] - mean) / conditional_sd
-        whitened_cut[:, i] = mean + conditional_sd * normal_between(*ends, share)
+        z[:, i] = mean + conditional_sd * normal_between(*ends, share)
     slope = correlation[np.ix_(~cut, cut)] @ precision
     # Rounding may leave a negative variance if the cut coordinates nearly determine the others.
     values, vectors = np.linalg.eigh(
@@ -203,8 +200,8 @@ def _mixed(
     )
     conditional_root = vectors * np.sqrt(np.maximum(values, 0.0))
     whitened = np.empty(points.shape)
-    whitened[:, cut] = whitened_cut
-    whitened[:, ~cut] = whitened_cut @ slope.T
+    whitened[:, cut] = z
+    whitened[:, ~cut] = z @ slope.T
     whitened[:, ~cut] += generator.standard_normal((len(points), len(values))) @ conditional_root.T
     return np.clip(peak + sd * whitened, low, high)
 
@@ -232,13 +229,10 @@ def normal_in_box(
     whitened, log_mass = np.empty((count, peak.size)), np.zeros(count)
     points = np.empty((count, peak.size))
     for k, i in enumerate(order):
-        conditional_mean = peak[i] + whitened[:, :k] @ root[k, :k]
-        begin, end = (
-            (low[i] - conditional_mean) / root[k, k],
-            (high[i] - conditional_mean) / root[k, k],
-        )
+        mean = peak[i] + whitened[:, :k] @ root[k, :k]
+        begin, end = (low[i] - mean) / root[k, k], (high[i] - mean) / root[k, k]
         whitened[:, k] = normal_between(begin, end, generator.random(count))
-        points[:, i] = np.clip(conditional_mean + root[k, k] * whitened[:, k], low[i], high[i])
+        points[:, i] = np.clip(mean + root[k, k] * whitened[:, k], low[i], high[i])
         mirrored = begin > -end
         above = log_ndtr(np.where(mirrored, -begin, end))
         below = log_ndtr(np.where(mirrored, -end, begin))

@@ -95,20 +95,16 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
     ticks = turn_s / sampled[:, Slot.sampled_control__period_s]
     if np.any(np.abs(ticks - np.round(ticks)) > 1e-6):
         return False
-    with_error = matrix[matrix[:, Slot.encoder_error__orders] != 0.0]
-    cycles = (
-        2.0 * np.pi * with_error[:, Slot.gear_ratio] / with_error[:, Slot.encoder_error__period_rad]
-    )
+    erring = matrix[matrix[:, Slot.encoder_error__orders] != 0.0]
+    cycles = 2.0 * np.pi * erring[:, Slot.gear_ratio] / erring[:, Slot.encoder_error__period_rad]
     if np.any(np.abs(cycles - np.round(cycles)) > 1e-9):
         return False
     learned = matrix[matrix[:, Slot.learned_torque__side] != 0.0]
     variable = learned[:, Slot.learned_torque__variable]
-    cycles_per_turn = 2.0 * np.pi / np.maximum(learned[:, Slot.learned_torque__period], 1e-300)
-    cycles_per_turn[variable == OVER_MOTOR_ANGLE] *= learned[
-        variable == OVER_MOTOR_ANGLE, Slot.gear_ratio
-    ]
+    cycles = 2.0 * np.pi / np.maximum(learned[:, Slot.learned_torque__period], 1e-300)
+    cycles[variable == OVER_MOTOR_ANGLE] *= learned[variable == OVER_MOTOR_ANGLE, Slot.gear_ratio]
     angular = (variable == OVER_MOTOR_ANGLE) | (variable == OVER_LOAD_ANGLE)
-    whole = angular & (np.abs(cycles_per_turn - np.round(cycles_per_turn)) <= 1e-9)
+    whole = angular & (np.abs(cycles - np.round(cycles)) <= 1e-9)
     return bool(np.all(whole | (variable == OVER_SPEED)))
 
 
