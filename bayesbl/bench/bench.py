@@ -201,8 +201,7 @@ class Bench:
         parameter thus does not change the draws of the others.
         """
         # Late parameters are drawn last, and only if they have a tolerance, so that draws of
-        # benches
-        # without them stay the same.
+        # benches without them stay the same.
         late = [name for name in LATE_PARAMETERS if self.parameters[name].tolerance]
         names = [name for name in self.parameters if name not in LATE_PARAMETERS] + late
         shifts = dict(zip(names, rng.uniform(-1.0, 1.0, len(names)), strict=True))

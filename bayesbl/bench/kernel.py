@@ -200,8 +200,7 @@ COMPRESSION_RAD = 1e-3
 LOOSE_SHARE = 0.01
 
 # Columns of a piece of a motion: start, ω_ref as a cubic, θ_ref as a quartic of the time since.
-# With
-# a held output, the drive's torque takes the place of ω_ref.
+# With a held output, the drive's torque takes the place of ω_ref.
 PIECE_COLUMNS = 10
 
 
@@ -1784,8 +1783,7 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
     angle = p[Slot.start_angle_rad]
     load, losses = balanced_torques(angle, speed, p, c)
     load += c.load_inertia * acceleration * c.per_ratio
-    # A load with hardly any torque may stand anywhere in the gap; this also keeps the start
-    # continuous.
+    # Without much torque, the load may stand anywhere in the gap: so the start is continuous.
     side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
     if start_flank != 0.0:
         side = start_flank

@@ -118,8 +118,7 @@ def through(
     pieces[1:, 5] = np.cumsum(advance)
     if position is not None:
         # The recorded angle differs from the integral of the speed. Spread the difference linearly
-        # over
-        # each piece, and keep the curvature of the speed.
+        # over each piece, and keep the curvature of the speed.
         position_error = np.diff(position) - advance
         pieces[:, 5] = position - position[0]
         pieces[:-1, 6] += position_error / h

@@ -326,8 +326,7 @@ def _run_rows(
             status[row] = run(row)
 
     # Small pieces, so that slow rows leave no core idle. Rows are independent, so the numbers do
-    # not
-    # depend on the split.
+    # not depend on the split.
     rows = np.arange(matrix.shape[0])
     in_threads(run_all, np.array_split(rows, max(1, min(rows.size, 8 * workers))), workers)
     failed = np.flatnonzero(status != kernel.DONE)

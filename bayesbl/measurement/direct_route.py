@@ -74,8 +74,8 @@ from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.units import unit_of
 
 WHOLE_ORDER = 0.03
-"""Deviation of a line's order from a whole number: several times the resolution by five
-rotations."""
+"""Distance from a whole number above which a line's order is not whole: several times the
+resolution by five rotations."""
 
 BOUNDED = ("gap_unseen",)
 """Codes of reasons that withhold δ but leave an upper bound."""

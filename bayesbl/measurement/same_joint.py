@@ -286,8 +286,7 @@ class _Pair:
             yield item, {"code": "filter_changed", "least_share": smallest} if significant else None
         for order, item in self.lines.items():
             # A ripple that repeats with the motor also acts when the teeth meet. It changes their
-            # speed
-            # of contact by up to its own amplitude, and the ringing in proportion.
+            # speed of contact by up to its own amplitude, and the ringing in proportion.
             largest = abs(item["measured"] - item["expected"]) / math.exp(self.first.log_amplitude)
             smallest = max(abs(self.change) - bound * self.change_sd, 0.0)
             significant = abs(item["z"]) > bound and abs(self.change) > self.harmless

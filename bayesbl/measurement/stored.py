@@ -209,8 +209,7 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
     ]
     ringing = next((r for r in (measured, *measured.beside) if r.ringing_change is not None), None)
     ringing_change = None
-    # With a curve, δ is withheld, and the curve may be the only reason: the ringing can be
-    # reported.
+    # With a curve, it is δ that is withheld, perhaps for the curve alone: report the ringing.
     if ringing is not None and (
         ringing.curve or not (ringing.answers[0].is_withheld or ringing.answers[-1].is_withheld)
     ):

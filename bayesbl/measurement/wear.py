@@ -469,16 +469,16 @@ def _fit(
 
 
 def _tempered(problem: _Problem, generator: np.random.Generator) -> FloatArray:
-    """Standard normal numbers of equally weighted laws and scatters, by tempering the
-    likelihood."""
+    """Standard normal numbers of equally weighted laws and scatters, by tempering: the
+    likelihood is raised to the power ``beta``, from 0 to 1."""
     from scipy.stats import qmc
 
     uniform = qmc.Sobol(NORMALS + 1, rng=generator).random(PARTICLES)
     normal = ndtri(np.clip(uniform.T, 1e-9, 1.0 - 1e-9))
-    log_likelihood, temperature = problem.log_likelihood(normal), 0.0
-    while temperature < 1.0:
-        step = _step(log_likelihood, 1.0 - temperature)
-        temperature += step
+    log_likelihood, beta = problem.log_likelihood(normal), 0.0
+    while beta < 1.0:
+        step = _step(log_likelihood, 1.0 - beta)
+        beta += step
         weight = np.exp(step * (log_likelihood - log_likelihood.max()))
         quantiles = (np.arange(PARTICLES) + generator.uniform()) / PARTICLES
         ancestors = np.searchsorted(np.cumsum(weight / weight.sum()), quantiles)
@@ -495,7 +495,7 @@ def _tempered(problem: _Problem, generator: np.random.Generator) -> FloatArray:
             noise = 0.01 * generator.standard_normal(normal.shape)
             proposal = normal + np.where(mask, size * difference, 0.0) + noise
             proposed_likelihood = problem.log_likelihood(proposal)
-            log_ratio = temperature * (proposed_likelihood - log_likelihood) - 0.5 * np.sum(
+            log_ratio = beta * (proposed_likelihood - log_likelihood) - 0.5 * np.sum(
                 proposal**2 - normal**2, axis=0
             )
             accepted = np.log(generator.uniform(size=PARTICLES)) < log_ratio

@@ -67,8 +67,7 @@ class NoiseModel:
         order, freedom = coefficients.size, self.degrees_of_freedom
         innovation = math.sqrt(innovation_share(coefficients))
         if freedom is not None:
-            # Start from zero and discard the run-in: the stationary distribution has no closed
-            # form.
+            # Discard a run-in from zero: the stationary distribution has no closed form.
             slowest = float(np.max(np.abs(self._roots), initial=0.0))
             run_in = math.ceil(math.log(1e-6) / math.log(slowest)) if slowest > 0.0 else 0
             white = rng.standard_t(freedom, run_in + size) * math.sqrt((freedom - 2.0) / freedom)

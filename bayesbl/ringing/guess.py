@@ -207,8 +207,7 @@ def _fold_all(  # type: ignore[no-untyped-def]
                         else:
                             high = j
         gain = baseline + (folded[high] - folded[low]) ** 2 / (2.0 * pulses)
-        # Neighbouring periods belong to one peak: keep the better one. A new peak takes a new
-        # place.
+        # Neighbouring periods belong to one peak: keep the best of each peak.
         place = -1
         for k in range(kept):
             if best[k, 0] > 0.0 and abs(best[k, 1] - period) < 2.0 * step:

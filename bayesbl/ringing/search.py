@@ -206,8 +206,7 @@ def scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
     norms = np.linalg.norm(columns, axis=0)
     norms = np.where(norms > 0.0, norms, 1.0)
     eigenvalues, eigenvectors = np.linalg.eigh((columns / norms).T @ (columns / norms))
-    # Limit the scatter of directions that the ringing hardly shows, so that rounding does not set
-    # it.
+    # Limit the scatter of hardly visible directions, which rounding would set otherwise.
     roots = eigenvectors / np.sqrt(np.maximum(eigenvalues, LEAST_SEEN)) / norms[:, None]
     order = [names.index(n) for n in SYMBOLS if n in objective.searched]
     triangle = np.linalg.qr(roots[order].T).R

@@ -284,8 +284,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                 x -= p[SEPARATION] / period_s
             x += math.ceil((-window - 1.0 - x) / rotation) * rotation
             while x <= n:
-                # begin: first sample after the impact; begin + run: the sample on the ramp at the
-                # end.
+                # begin: first sample after the impact; begin + run: sample on the final ramp.
                 begin = int(math.ceil(x))
                 u = begin - x
                 run = max(int(math.floor(window - 0.5 - u)) + 1, 0)

@@ -331,8 +331,7 @@ def walk(
     steps, tau, stable = 0, math.inf, False
     previous: FloatArray | None = None
     while steps < settings.max_steps:
-        # Short chains underestimate their autocorrelation time, so the missing steps are not too
-        # many.
+        # Short chains underestimate their autocorrelation time: never too many missing steps.
         missing = needed(tau) - steps if math.isfinite(tau) else 0.0
         stretch = max(STEPS_BETWEEN_CHECKS, GROWTH_BETWEEN_CHECKS * steps, missing)
         count = min(math.ceil(stretch), settings.max_steps - steps)

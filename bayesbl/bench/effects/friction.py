@@ -89,8 +89,7 @@ MOTOR_STRIBECK_FRICTION = Effect(
     free_motion=True,
 )
 
-# Over a few constant speeds it resembles viscous friction of another size, so it is not sought
-# there.
+# Resembles viscous friction of another size over a few constant speeds, so is not sought there.
 MOTOR_QUADRATIC_DRAG = Effect(
     place=45,
     name="motor_quadratic_drag",

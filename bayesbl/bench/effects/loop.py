@@ -22,8 +22,7 @@ _LAG = amplitude(
 )
 
 # Nearly equivalent to a lag of the speed sensor together with a skew of the current. A rigid
-# inverse
-# comparison does not see it, because the recorded current is the actual one.
+# inverse comparison does not see it, because the recorded current is the actual one.
 CURRENT_LOOP_LAG = Effect(
     place=170,
     name="current_loop_lag",
@@ -84,8 +83,7 @@ SAMPLED_CONTROL = Effect(
             neutral=1.0,
             bounded=True,
             # At 0 the torque acts at once, a value that no slope leads to. Then factors of four,
-            # like
-            # the periods that a search tries: dead times from 0.4 to 14 ms.
+            # like the periods that a search tries: dead times from 0.4 to 14 ms.
             starts=(0.0, 4.0, 16.0),
         ),
         shape(
