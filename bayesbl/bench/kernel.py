@@ -538,8 +538,7 @@ def sensed(y, p, c):  # type: ignore[no-untyped-def]
 
 @_inlined
 def controller(t, y, p, c):  # type: ignore[no-untyped-def]
-    """Recorded speed, speed error, torque after the limit, share of the error that is
-    integrated."""
+    """Recorded speed, speed error, torque after the limit, integrated share of the error."""
     angle, speed = sensed(y, p, c)
     if c.effects and p[Slot.speed_sensor_lag__time_s] > 0.0:
         speed = y[SENSED_SPEED]

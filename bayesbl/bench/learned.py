@@ -185,8 +185,7 @@ class LearnedTerm:
             vector[Slot[name]] = value
 
     def over(self, x: FloatArray) -> FloatArray:
-        """Its value at these values of its variable, shape as ``x``; for a torque in forward
-        motion."""
+        """Its value at values of its variable, shape as ``x``; of a torque in forward motion."""
         cosines, sines = waves_over(x, self.period, self.orders)
         waves = cosines @ np.array(self.cosine) + sines @ np.array(self.sine)
         return np.asarray(self.constant + waves)

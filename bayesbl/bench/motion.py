@@ -23,8 +23,7 @@ from bayesbl.errors import BenchError
 from bayesbl.recording.types import FloatArray
 
 PIECES_PER_PERIOD = 100
-"""Pieces per period of a sine: a cubic through values and slopes is off by 2e-7 of the
-amplitude."""
+"""Pieces per period of a sine: the error of a cubic is then 2e-7 of the amplitude."""
 
 SHORTEST_PIECE_S = 1e-9
 """Corners that are closer than this are one corner."""
@@ -270,8 +269,7 @@ def recorded_motion(
 
 
 def held_motion(motion: Motion, samples: int, sampling_hz: float) -> Motion:
-    """The motion as a digital drive follows it: the reference of each sample held until the
-    next."""
+    """The motion of a digital drive, which holds the reference of each sample until the next."""
     time = np.arange(samples) / sampling_hz
     pieces = np.zeros((samples, PIECE_COLUMNS))
     # A sample sees the reference that came with it.
@@ -283,8 +281,7 @@ def held_motion(motion: Motion, samples: int, sampling_hz: float) -> Motion:
 
 
 def _straight(time: FloatArray, values: FloatArray, tolerance: float) -> list[int]:
-    """Indices of samples whose chords pass all samples within a tolerance, found by a cone of
-    slopes."""
+    """Samples whose chords pass all samples within a tolerance, found by a cone of slopes."""
     kept = [0]
     t, v = time.tolist(), values.tolist()
     low, high = -math.inf, math.inf

@@ -515,8 +515,7 @@ def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> Fl
 
 
 SIZES = np.geomspace(1e-5, 6e-3, 12)
-"""Relative sizes; a lack of fit beyond half a percent calls for another degree, not a
-correction."""
+"""Relative sizes; a lack of fit above 0.5 % calls for another degree, not a correction."""
 LENGTHS = np.geomspace(0.15, 0.7, 5)
 """Lengths in ln A; longer ones would only compete with the polynomial."""
 SMALLEST_SCATTER = 1e-5
@@ -567,9 +566,9 @@ class Regression:
         shifts = generator.standard_normal((count, k)) @ self._coefficient_root.T
         powers = self.knots_rpm ** np.arange(k)[:, None]
         nominal = self.coefficients @ powers
-        moved = self.lack_of_fit + shifts @ self._sensitivity.T
+        shifted = self.lack_of_fit + shifts @ self._sensitivity.T
         by_coefficients = np.log1p(shifts @ powers / nominal) - np.log(
-            (1.0 - moved) / (1.0 - self.lack_of_fit)
+            (1.0 - shifted) / (1.0 - self.lack_of_fit)
         )
         noise = generator.standard_normal((count, self.knots_rpm.size)) @ self._remaining_root.T
         by_lack_of_fit = -np.log1p(-noise / (1.0 - self.lack_of_fit))

@@ -53,8 +53,7 @@ class AutoMeasurer(Measurer):
         self._of([recording]).require_usable(recording)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Check comparability for the amplitude route; the direct route can compare any
-        recordings."""
+        """Check comparability for the amplitude route; the direct route compares any recordings."""
         return self._of(recordings).require_together(recordings)
 
     def _of(self, recordings: Sequence[Recording]) -> Measurer:
@@ -87,8 +86,7 @@ class AutoMeasurer(Measurer):
         return self._of_both(direct, amplitude)
 
     def _of_both(self, direct: Measurement, amplitude: Measurement) -> Measurement:
-        """The direct answer, unless the direct route itself failed and the amplitude has an
-        answer."""
+        """The direct answer, unless that route itself failed and the amplitude has an answer."""
         if self.amplitude.bench is not None:
             amplitude = _without_contradicted(direct, amplitude)
         failed = [

@@ -186,8 +186,7 @@ def windup_rad_of(config: SnapshotConfig) -> float:
 
 
 def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float] | None) -> None:
-    """Refuse a limit far outside the range of measurable gaps: it is most likely in another
-    unit."""
+    """Refuse a limit far outside the range of measurable gaps: most likely another unit."""
     if limit_rad is None or range_rad is None:
         return
     low, high = range_rad

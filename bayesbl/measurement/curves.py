@@ -293,8 +293,7 @@ class SweepProblem:
         return self._row(bench, lambda: sweep_like(bench, nominal, self.model, self.settings))
 
     def _row(self, drawn: Bench | None, make: Callable[[], SweepRow]) -> SweepRow:
-        """The row of the nominal or of a drawn bench, from the store if an earlier sweep made
-        it."""
+        """The row of the nominal or a drawn bench, from the store if an earlier sweep made it."""
         return self.work.get("sweep row", self._inputs(drawn), partial(_finite, make), SweepRow)
 
     def _inputs(self, drawn: Bench | None) -> tuple[object, ...]:
@@ -442,8 +441,7 @@ class CurveMeasurer(Measurer):
         return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
 
     def bench_of(self, recording: Recording) -> Bench | None:
-        """The bench at the time of a recording; ``None`` if the curves are not swept from a
-        bench."""
+        """The bench at the time of a recording; ``None`` if no curves are swept from a bench."""
         if self.bench is None:
             return None
         return bench_with(self.bench, self.config.entry_of(recording.name).bench)

@@ -157,8 +157,8 @@ def gaps(
             weights = posterior_weights
         elif can_weight and not any(contradictions):
             notes = (Reason("few_curve_draws", {"effective": float(effective), "total": total}),)
-    picked = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
-    index = (picked + weights.size // chains * np.arange(chains)[:, None]).ravel()
+    sampled = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
+    index = (sampled + weights.size // chains * np.arange(chains)[:, None]).ravel()
     chosen = [draws.take(index) for draws in shared]
     chosen_amplitudes = [candidates[index] for candidates in amplitudes]
     by_curve = [draws.gap(a) for draws, a in zip(chosen, chosen_amplitudes, strict=True)]

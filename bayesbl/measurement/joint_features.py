@@ -224,8 +224,7 @@ def _values(folded: FloatArray, waves: FloatArray) -> dict[str, float]:
 
 
 def _resampled(folded: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Bootstrap sample: the repeating part plus shuffled blocks of the rest, same in all
-    channels."""
+    """Bootstrap sample: the repeating part plus shuffled blocks of the rest, channels alike."""
     channels, rotations, count = folded.shape
     mean = folded.mean(axis=1, keepdims=True)
     residual = (folded - mean) * math.sqrt(rotations / (rotations - 1))

@@ -168,8 +168,7 @@ def outcome_of(reasons: Iterable[Reason]) -> Outcome:
 
 
 class CheckItem(TypedDict):
-    """A measured quantity and its expected value; ``z`` is their difference in standard
-    deviations."""
+    """A measured and an expected value; ``z`` is their difference in standard deviations."""
 
     quantity: str
     measured: float
@@ -372,8 +371,7 @@ class Measurer(ABC):
 
     @abstractmethod
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
-        """Yield what the route uses besides recordings, as label and function of text; may
-        raise."""
+        """Yield what the route uses besides recordings, as label and text function; may raise."""
 
     def read(self, entry: SnapshotRecording) -> Recording:
         """Read the recording of a snapshot as this route needs it; raises if it cannot."""

@@ -21,8 +21,7 @@ EXCLUDED_SHARE = 0.01
 than ``EXCLUDED_SHARE`` of the posterior (a flat posterior: 0.1). Then δ has a bound."""
 
 REMEMBERED = 1.0
-"""Largest χ² that an unknown start leaves in the compared part: it moves δ by one standard
-deviation at most."""
+"""Largest χ² that an unknown start may leave: it moves δ by at most one standard deviation."""
 
 
 def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:

@@ -281,8 +281,8 @@ class RampMeasurer(Measurer):
             draws["shared_pattern"] = play.shared_pattern
         reasons = [*against(flanks), *sampling_reasons(play.diagnostics)]
         withheld = outcome_of(reasons) == "withheld"
-        given = self.config.joint.gear_ratio is not None
-        reasons += notes_on(files, flanks, draws, ratio_given=given, elsewhere=elsewhere)
+        has_ratio = self.config.joint.gear_ratio is not None
+        reasons += notes_on(files, flanks, draws, ratio_given=has_ratio, elsewhere=elsewhere)
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
         groups = ramp_groups(recording, files, flanks, draws, play, stated_nm)
         has_play = flanks.probability_of_play >= UPPER_BOUND_LEVEL

@@ -165,8 +165,7 @@ class Laws:
         return total
 
     def _regimes(self) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-        """Start, end, exponent p and scale of each regime: growth = scale · (e^(p (ln age − start))
-        − 1)."""
+        """Start, end, exponent p, scale of regimes: growth = scale (e^(p (ln age − start)) − 1)."""
         starts, exponents, factors = self._parts()
         ends = np.concatenate([starts[1:], np.full((1, starts.shape[1]), np.inf)])
         log_rate = np.zeros(starts.shape[1])
@@ -181,8 +180,7 @@ class Laws:
         return np.asarray(np.searchsorted(bounds, self._parts()[1, CHANGES]))
 
     def time_of(self, growth: FloatArray, longest: float) -> FloatArray:
-        """Time in spans, at most ``longest``, when the growth is ``growth`` times that over the
-        span."""
+        """Time in spans, up to ``longest``, at ``growth`` times the growth over the span."""
         remaining = growth * self._grown(np.ones(self.rows.shape[1]))
         log_age = np.zeros(growth.shape)
         for start, end, exponent, scale in self._regimes():
@@ -437,20 +435,20 @@ class _Problem:
 
 
 def _fit(
-    gaps: FloatArray, growth: FloatArray, own: FloatArray, variance: FloatArray
+    gaps: FloatArray, growth: FloatArray, unshared_variance: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Fit δ(t₁) and Δ by generalised least squares; return them, (2, particle), and ln likelihood.
 
     The model is gaps = δ(t₁) + Δ u + W + errors, with W a normal random walk of variance
-    ``variance`` · u. The likelihood is the restricted one. All arguments but ``own`` have shape
-    (snapshot, particle) or (particle,). A Kalman filter removes the walk one snapshot at a time, so
-    the cost is linear in the snapshots.
+    ``variance`` · u. The likelihood is the restricted one. All arguments but
+    ``unshared_variance`` have shape (snapshot, particle) or (particle,). A Kalman filter removes
+    the walk one snapshot at a time, so the cost is linear in the snapshots.
     """
     columns = np.stack([np.ones(gaps.shape), growth, gaps - gaps[0]])
     state, state_variance = np.zeros((3, gaps.shape[1])), np.zeros(gaps.shape[1])
     products, log_determinant = np.zeros((3, 3, gaps.shape[1])), 0.0
     previous = np.zeros(gaps.shape[1])
-    for k, noise in enumerate(own):
+    for k, noise in enumerate(unshared_variance):
         state_variance = state_variance + variance * (growth[k] - previous)
         previous = growth[k]
         innovation_variance = state_variance + noise
@@ -559,9 +557,9 @@ def wear_of(
         return None, None
     used = since_repair([recording.repaired for recording in config.recordings])
     since, chosen = dates[used], answers[used]
-    taken = np.zeros(len(dates))
-    taken[used] = 1.0
-    group = dataset(DATES, {"date": [d.isoformat() for d in dates], "used": taken})
+    is_used = np.zeros(len(dates))
+    is_used[used] = 1.0
+    group = dataset(DATES, {"date": [d.isoformat() for d in dates], "used": is_used})
     if config.joint.decide_before is not None:
         group.attrs["decide_before"] = config.joint.decide_before.isoformat()
     if since[0] == since[-1]:
@@ -598,8 +596,8 @@ def _drifting(
     delta_rad: FloatArray, relative_sd: float, seed: np.random.SeedSequence
 ) -> FloatArray:
     """Add independent scatter at each date, for effects of temperature, grease and the like."""
-    moved = np.random.default_rng(seed).standard_normal(delta_rad.shape)
-    return np.asarray(delta_rad * np.exp(relative_sd * moved))
+    noise = np.random.default_rng(seed).standard_normal(delta_rad.shape)
+    return np.asarray(delta_rad * np.exp(relative_sd * noise))
 
 
 def used_dates(group: xr.Dataset) -> list[Date]:

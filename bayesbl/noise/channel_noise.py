@@ -170,8 +170,7 @@ def _noise_of(
     rounding: FloatArray | None,
     rotations: float = 1.0,
 ) -> ChannelNoise:
-    """The process that has this share of the power of a stretch, shape (c, n), at the samples
-    kept."""
+    """The process that has this share of the power of a stretch, (c, n), at the kept samples."""
     channels, count = noise.shape
     complete_past: BoolArray | None = None
     if kept is not None:

@@ -19,8 +19,7 @@ from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_SPEED, ComplexArray, FloatArray
 
 BAND_HZ = (6.0, 40.0)
-"""Where joints ring; slower waves are those of the load, faster ones do not beat with the
-ringing."""
+"""Where joints ring; slower waves are the load's own, faster ones do not beat with ringing."""
 
 STRETCH_S = 0.25
 """One and a half periods of the slowest line; the ringing fills few such stretches."""
@@ -142,8 +141,7 @@ def _wave(speed_rpm: FloatArray, period_s: float, frequency_hz: float) -> FloatA
 
 
 def _by_stretch(rows: FloatArray, step_s: float, frequency_hz: FloatArray) -> ComplexArray:
-    """Complex amplitude of each line in each stretch, (stretches, f), with linear trends
-    removed."""
+    """Complex amplitude of each line in each stretch without its trend, (stretches, f)."""
     length = max(4, round(STRETCH_S / step_s))
     stretches = rows[: rows.size // length * length].reshape(-1, length)
     centred = np.arange(length) - 0.5 * (length - 1)
@@ -157,8 +155,7 @@ def _by_stretch(rows: FloatArray, step_s: float, frequency_hz: FloatArray) -> Co
 
 
 def medians(by_stretch: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Complex amplitude, standard error and unsteadiness of lines (f,), from stretches (stretches,
-    f)."""
+    """Amplitude, standard error, unsteadiness of lines, (f,), from stretches, (stretches, f)."""
     parts = np.stack([by_stretch.real, by_stretch.imag])
     centre = np.median(parts, axis=1)
     sd = 1.4826 * np.median(np.abs(parts - centre[:, None]), axis=1)

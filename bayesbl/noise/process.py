@@ -61,8 +61,7 @@ class NoiseModel:
             )
 
     def draw(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Draw noise that is stationary from the first sample, shape (size,), in the channel's
-        unit."""
+        """Draw noise that is stationary from the first sample, shape (size,), channel's unit."""
         coefficients = np.asarray(self.coefficients, dtype=np.float64)
         order, freedom = coefficients.size, self.degrees_of_freedom
         innovation = math.sqrt(innovation_share(coefficients))

@@ -24,8 +24,7 @@ BEYOND_ONE_ROUNDING = 1.5
 """Factor on the variance of one rounding: half-way to that of the difference of two."""
 
 COARSEST_PRINT = 0.1
-"""Coarsest printed resolution, in steps: with coarser digits, any speed would seem to be on
-steps."""
+"""Coarsest printed digits, in steps: with coarser ones any speed would seem to be on steps."""
 
 SHARED_COUNT = -0.25
 """Correlation of neighbouring samples: half-way to that of differences that share a count."""
@@ -54,8 +53,7 @@ class SpeedSteps:
 
     @property
     def sd_rpm(self) -> float:
-        """Standard deviation of the rounding: uniform within a step, or the difference of two
-        such."""
+        """Standard deviation of rounding: uniform in a step, or the difference of two such."""
         return self.size_rpm / math.sqrt(6.0 if self.differentiated else 12.0)
 
     def drawn(self, exact_rpm: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -169,8 +167,7 @@ class Rounding:
     def drawn(
         self, exact: FloatArray, residual: FloatArray, rng: np.random.Generator
     ) -> FloatArray:
-        """Draw exact signal minus recording, with arguments as for :meth:`autocovariance`; shape
-        (n,)."""
+        """Draw signal minus recording, (n,); arguments as for :meth:`autocovariance`."""
         rounding = self.least_sd * rng.standard_normal(exact.size)
         if self.steps is None:
             return rounding

@@ -112,8 +112,7 @@ _REPLACED = ".replaced"
 
 
 def is_finished(path: str | Path) -> bool:
-    """Whether a folder holds a result; folders appear whole, so one of its files is proof
-    enough."""
+    """Whether a folder holds a result; folders appear whole, so one of its files is proof."""
     return any(os.path.isfile(Path(path) / name) for name in (SUMMARY_FILE, RESULT_FILE))
 
 

@@ -169,8 +169,7 @@ def json_text(content: Mapping[str, Any]) -> str:
 
 
 def texts(attribute: str | Iterable[object] | None) -> list[str]:
-    """List of texts from an attribute: NetCDF returns a list of one as a text, an empty one as
-    none."""
+    """List of texts from an attribute; NetCDF returns a list of one as a text, of none as none."""
     if isinstance(attribute, str):
         return [attribute] if attribute else []
     return [] if attribute is None else [str(text) for text in attribute]

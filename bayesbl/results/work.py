@@ -185,8 +185,7 @@ class WorkStore:
 
     @classmethod
     def shared(cls, folder: Path, *, fresh: bool = False) -> WorkStore:
-        """A store of work that can always be repeated; stores nothing if others can write the
-        folder."""
+        """A store of repeatable work; stores nothing if others can write to the folder."""
         try:
             require_own(folder)
         except FileNotFoundError:

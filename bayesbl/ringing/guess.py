@@ -119,8 +119,7 @@ def _templates(objective: Objective) -> list[tuple[float, float]]:
 def _response(
     speed_rpm: FloatArray, period_s: float, window_s: float, decay: float, frequency: float
 ) -> tuple[FloatArray, float]:
-    """Matched-filter response, decimated to the resolution that its ringing needs, and its step,
-    s."""
+    """Matched-filter response, decimated to the resolution of its ringing; its step in s."""
     u = np.arange(0.0, window_s, period_s)
     template = np.exp(-decay * u) * np.sin(frequency * u)
     slow = np.stack([np.ones_like(u), u - u.mean()])

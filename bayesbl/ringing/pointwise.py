@@ -154,8 +154,7 @@ def innovation_sd(noise: Noise) -> float:
 
 
 def _variance_of_change(noise: Noise) -> float:
-    """Variance of the change of an autoregressive process between samples, over its own
-    variance."""
+    """Variance of the change of an autoregressive process over the variance of the process."""
     return 2.0 * (1.0 - float(autocorrelation(noise.coefficients, 2)[1]))
 
 

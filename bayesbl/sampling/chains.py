@@ -28,8 +28,7 @@ from bayesbl.sampling.convergence import (
 )
 
 FURTHEST = 30.0
-"""Largest distance of a peak beyond an edge, standard deviations; the draws then look
-exponential."""
+"""Largest distance of a peak from an edge, in sd; the draws then look exponential."""
 
 
 def chance_at_edge(distances: FloatArray, width: float) -> float:
@@ -70,8 +69,7 @@ def _density(z: float) -> float:
 
 
 def _shape(peak_distance: float) -> tuple[float, float]:
-    """Mean over standard deviation of the draws, and their standard deviation over that of the
-    likelihood."""
+    """Mean over sd of the draws, and their sd over that of the likelihood."""
     hazard = _density(peak_distance) * math.exp(-log_ndtr(-peak_distance))
     sd = float(np.sqrt(1.0 + peak_distance * hazard - hazard**2))
     return (hazard - peak_distance) / sd, sd

@@ -125,7 +125,7 @@ def resampled(
     resampling puts equal draws side by side, but draws must pair at random.
     """
     chains, candidates = log_weights.shape
-    picked = np.empty((chains, count), np.int64)
+    indices = np.empty((chains, count), np.int64)
     for chain, chain_weights in enumerate(log_weights):
         quantiles = (np.arange(count) + generator.uniform()) / count
         if np.any(np.isfinite(chain_weights)):
@@ -133,8 +133,8 @@ def resampled(
             index = np.searchsorted(edges / edges[-1], quantiles)
         else:
             index = np.linspace(0, candidates - 1, count).round().astype(np.int64)
-        picked[chain] = generator.permutation(index)
-    return picked
+        indices[chain] = generator.permutation(index)
+    return indices
 
 
 def truncated_normal(

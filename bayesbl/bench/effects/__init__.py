@@ -72,8 +72,7 @@ _RATES = [
 
 
 def after(matrix: FloatArray, time_s: float) -> FloatArray:
-    """Benches, shape (m, SLOTS), after ``time_s`` seconds: with the parameters that change in
-    time."""
+    """Benches, shape (m, SLOTS), with their parameters as changed after ``time_s`` seconds."""
     matrix = matrix.copy()
     for value, rate in _RATES:
         matrix[:, value] += time_s * matrix[:, rate]
@@ -104,8 +103,8 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
     cycles = 2.0 * np.pi / np.maximum(learned[:, Slot.learned_torque__period], 1e-300)
     cycles[variable == OVER_MOTOR_ANGLE] *= learned[variable == OVER_MOTOR_ANGLE, Slot.gear_ratio]
     angular = (variable == OVER_MOTOR_ANGLE) | (variable == OVER_LOAD_ANGLE)
-    whole = angular & (np.abs(cycles - np.round(cycles)) <= 1e-9)
-    return bool(np.all(whole | (variable == OVER_SPEED)))
+    repeats = angular & (np.abs(cycles - np.round(cycles)) <= 1e-9)
+    return bool(np.all(repeats | (variable == OVER_SPEED)))
 
 
 def sampled_lateness_s(matrix: FloatArray) -> FloatArray:

@@ -43,8 +43,7 @@ GEAR_TRANSMISSION_ERROR = Effect(
 
 
 def torque_nm(motion: RigidMotion, bench: BenchValues, given: Parameters) -> FloatArray:
-    """Apparent torque of the encoder's sway, which the differentiation mistakes for
-    acceleration."""
+    """Apparent torque: the encoder's sway, which differentiation mistakes for acceleration."""
     ratio = bench.value("gear_ratio")
     inertia = bench.value("motor_inertia_kg_m2") + bench.value("load_inertia_kg_m2") / ratio**2
     sway = (motion.sway * np.exp(1j * given[PHASE])).imag
