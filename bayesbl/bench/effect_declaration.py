@@ -334,7 +334,7 @@ class Effect:
 
     @property
     def main_amplitude(self) -> EffectParameter:
-        """The amplitude that a search frees if recordings show only one of several, or the first."""
+        """The amplitude that a search frees if recordings cannot show several, or the first."""
         alone = (item for item in self.amplitudes if item.name == self.sought_alone)
         return next(alone, self.amplitudes[0])
 
