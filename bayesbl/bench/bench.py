@@ -1,12 +1,12 @@
 """The virtual bench: parameters with tolerances, measurement, effects; simulates recordings.
 
-Whether the load changes from one tooth flank to the other while a joint turns at one speed, the
-bench itself says. At constant speed the gear passes on what the load asks for alone,
+The bench determines whether the load changes tooth flanks while a joint turns at constant speed.
+The gear then transmits only the torque that the load requires,
 
-    τ_s(θ) = m g l sin θ + torques at the load (offset, friction, what was learned there).
+    τ_s(θ) = m g l sin θ + torques at the load (offset, friction, learned torque).
 
-Where that keeps its sign over a rotation (a vertical axis, a balanced arm, an arm that is loaded to
-one side) there is no impact, and nothing of a recording at that speed depends on the gap.
+If that keeps its sign over a rotation (a vertical axis, a balanced arm, an arm that is loaded to
+one side), there is no impact, and no recording at that speed depends on the gap.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ LATE_PARAMETERS = ("gravity_angle_rad",)
 
 # Increased when the same bench gives other signals, so that cached results are not mixed.
 _SIGNALS_VERSION = 2
-# As hashed. Version 0.2 simulated the encoder's speed as a sensor's: its curves are other ones.
+# As hashed. Version 0.2 simulated the encoder's speed as a sensor's, so its curves differ.
 _SPEED_SOURCES = {"sensor": "sensor", "encoder": "averaged"}
 
 
@@ -68,7 +68,7 @@ class BenchParameter:
 
 @dataclass(frozen=True, slots=True)
 class EffectParameterValue:
-    """Value of one effect's parameter and its standard deviation as it was estimated."""
+    """Value of one effect's parameter, and its standard deviation if it was estimated."""
 
     value: float
     sd: float | None = None
@@ -82,7 +82,7 @@ class BenchEffect:
     parameters: Mapping[str, EffectParameterValue]
 
     def complete(self) -> dict[str, float]:
-        """All of its parameters by name, those not given at their neutral value."""
+        """All of its parameters by name; missing ones at their neutral value."""
         given = {name: item.value for name, item in self.parameters.items()}
         return effect_named(self.name).complete(given)
 
@@ -94,10 +94,10 @@ class Bench:
     Equations in docs/design.md, "The virtual bench".
 
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
-    ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
-    with recordings but not simulated in steady rotation. ``identified``: what recordings show of
-    some parameters together, instead of their tolerances. ``learned_torque``, ``encoder_error``:
-    what repeats in recordings and no effect explains.
+    ``assumed``: parameters that a rigid bench leaves out because nothing drives it; it can be
+    compared with recordings but not simulated in steady rotation. ``identified``: joint
+    distribution of some parameters from recordings, instead of their tolerances.
+    ``learned_torque``, ``encoder_error``: repeating signals in recordings that no effect explains.
     """
 
     parameters: Mapping[str, BenchParameter]
@@ -145,12 +145,12 @@ class Bench:
             vector[Slot[name]] = parameter.value
         vector[Slot.hard_dead_zone] = float(self.gap_form == "dead_zone")
         vector[Slot.rigid] = float(self.drive == "rigid")
-        for present in self.effects:
-            slots = effect_named(present.name).slots
-            for name, value in present.complete().items():
+        for effect in self.effects:
+            slots = effect_named(effect.name).slots
+            for name, value in effect.complete().items():
                 vector[slots[name]] = value
-        for learned in self.learned_terms:
-            learned.put_into(vector)
+        for term in self.learned_terms:
+            term.put_into(vector)
         vector.setflags(write=False)
         return vector
 
@@ -165,11 +165,11 @@ class Bench:
 
     @property
     def learned_terms(self) -> tuple[LearnedTerm, ...]:
-        """What was learned, those that the bench has."""
+        """The learned terms that the bench has."""
         return tuple(t for t in (self.learned_torque, self.encoder_error) if t is not None)
 
     def with_learned(self, *terms: LearnedTerm) -> Bench:
-        """The same bench with these instead of its own of the same kind."""
+        """The same bench with these learned terms, which replace those of the same kind."""
         kinds: dict[str, Any] = {term.block: term for term in terms}
         return dataclasses.replace(self, **kinds)
 
@@ -179,7 +179,7 @@ class Bench:
         return {name: item.tolerance for name, item in self.parameters.items() if item.tolerance}
 
     def with_parameters(self, **values: float) -> Bench:
-        """The same bench with other values; relative tolerances keep their share."""
+        """The same bench with other values; tolerances stay the same relative to the value."""
         changed = dict(self.parameters)
         for name, value in values.items():
             if name not in changed:
@@ -195,13 +195,13 @@ class Bench:
         return dataclasses.replace(self, effects=tuple(effects))
 
     def draw(self, rng: np.random.Generator) -> Bench:
-        """A bench drawn uniformly within the tolerances, or as identified, known exactly.
+        """Draw an exactly known bench, uniformly within the tolerances or as identified.
 
-        One number is drawn for each parameter, tolerance or not, so that giving one more
-        parameter a tolerance does not change the others' draws.
+        One number is drawn for each parameter, with tolerance or not. Adding a tolerance to one
+        parameter thus does not change the draws of the others.
         """
-        # A parameter that came later is drawn last and only where it has a tolerance, so that draws
-        # of benches without it stay as they were.
+        # Late parameters are drawn last, and only if they have a tolerance, so that draws of
+        # benches without them stay the same.
         late = [name for name in LATE_PARAMETERS if self.parameters[name].tolerance]
         names = [name for name in self.parameters if name not in LATE_PARAMETERS] + late
         shifts = dict(zip(names, rng.uniform(-1.0, 1.0, len(names)), strict=True))
@@ -220,18 +220,18 @@ class Bench:
         return float(rotation_period_s(self.vector(reference_speed_rpm=reference_speed_rpm))[0])
 
     def transmitted_torque(self, motion: RigidMotion) -> FloatArray:
-        """Torque that the gear passes on in this motion of a rigid bench, at the motor, N m.
+        """Torque that the gear transmits in this motion of a rigid bench, at the motor, N m.
 
-        Load inertia, gravity and the effects at the load; shape (n,).
+        It comprises load inertia, gravity and the effects at the load; shape (n,).
         """
         ratio = self.value("gear_ratio")
         torque = self.value("load_inertia_kg_m2") / ratio * motion.acceleration
-        hanging = motion.angle / ratio + self.value("gravity_angle_rad")
-        torque = torque + self.value("gravity_torque_nm") * np.sin(hanging)
-        for present in self.effects:
-            law = effect_named(present.name).load_torque
+        gravity_angle = motion.angle / ratio + self.value("gravity_angle_rad")
+        torque = torque + self.value("gravity_torque_nm") * np.sin(gravity_angle)
+        for effect in self.effects:
+            law = effect_named(effect.name).load_torque
             if law is not None:
-                torque = torque + law(motion, self, present.complete())
+                torque = torque + law(motion, self, effect.complete())
         return np.asarray(torque / ratio)
 
     def vector(self, **settings: Any) -> FloatArray:
@@ -247,12 +247,12 @@ class Bench:
         -------
         Array of shape (m, SLOTS); m is 1 if all are numbers.
         """
-        given = {
+        arrays = {
             slot_of(name): np.asarray(v, float) for name, v in settings.items() if v is not None
         }
-        shape = np.broadcast_shapes((1,), *(values.shape for values in given.values()))
+        shape = np.broadcast_shapes((1,), *(values.shape for values in arrays.values()))
         matrix = np.tile(self._vector, (shape[0], 1))
-        for slot, values in given.items():
+        for slot, values in arrays.items():
             matrix[:, slot] = values
         return matrix
 
@@ -304,7 +304,7 @@ class Bench:
     def samples(
         self, rotations: float, sampling_hz: float, reference_speed_rpm: float | None = None
     ) -> int:
-        """Number of samples in so many load rotations, both ends included.
+        """Number of samples in ``rotations`` load rotations, both ends included.
 
         Raises
         ------
@@ -341,16 +341,18 @@ class Bench:
         name: str = "simulated",
         accuracy_rpm: float | None = None,
     ) -> Recording:
-        """One recording in steady rotation, or of a motion with its references as channels.
+        """Simulate one recording in steady rotation, or of a motion with its references as
+        channels.
 
-        Of a held output the position and torque of the motor, as a test stand records them.
+        With a held output, the channels are the position and torque of the motor, as a test stand
+        records them.
 
         Parameters
         ----------
         gap_rad
             Half the clearance δ, an angle at the load.
         motion
-            Has a length and a start of its own, in place of rotations, start angle and speed.
+            Has its own length and start, which replace rotations, start angle and speed.
         rotations, sampling_hz
             Length in load rotations, and rate.
         start_angle_rad
@@ -362,7 +364,8 @@ class Bench:
         seed
             Generator of the noise; ``None`` for none.
         name, accuracy_rpm
-            Of the recording; largest error of the simulated speed, as in :func:`simulate_channels`.
+            Name of the recording; largest error of the simulated speed, as in
+            :func:`simulate_channels`.
 
         Raises
         ------
@@ -382,22 +385,24 @@ class Bench:
                 found=f"{len(parameters)} values",
                 expected="one number each; call simulate() once for each gap",
             )
-        own, loop = parameters[0], parameters[0]
-        reference = None if motion is not None else float(own[Slot.reference_speed_rpm])
+        row, loop = parameters[0], parameters[0]
+        reference = None if motion is not None else float(row[Slot.reference_speed_rpm])
         if motion is None:
             samples = self.samples(rotations, sampling_hz, reference)
-            made = simulate_channels(parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm)
+            simulated = simulate_channels(
+                parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm
+            )
         else:
             samples = math.floor(round(motion.duration_s * sampling_hz, 6)) + 1
-            made = simulate_motions(
+            simulated = simulate_motions(
                 parameters, motion, samples, sampling_hz, accuracy_rpm=accuracy_rpm
             )
-            loop = None if motion.output_held else own
+            loop = None if motion.output_held else row
         time_s = np.arange(samples) / sampling_hz
-        position, speed, current = made[0, [POSITION, SPEED, CURRENT]]
+        position, speed, current = simulated[0, [POSITION, SPEED, CURRENT]]
         zero = position[0]
-        if motor_start_angle_rad is not None:  # of a relaxed shaft
-            zero = own[Slot.gear_ratio] * own[Slot.start_angle_rad] - motor_start_angle_rad
+        if motor_start_angle_rad is not None:  # defined for a relaxed shaft
+            zero = row[Slot.gear_ratio] * row[Slot.start_angle_rad] - motor_start_angle_rad
         channels = self.measurement.channels(
             position - zero, speed, current, loop, sampling_hz, seed
         )
@@ -414,14 +419,14 @@ class Bench:
             metadata={
                 "simulated": True,
                 "bench": self.fingerprint(),
-                "gap_rad": float(own[Slot.gap_rad]),
-                "start_angle_rad": float(own[Slot.start_angle_rad]),
+                "gap_rad": float(row[Slot.gap_rad]),
+                "start_angle_rad": float(row[Slot.start_angle_rad]),
                 "reference_speed_rpm": reference,
             },
         )
 
     def fingerprint(self) -> str:
-        """Short hash of all that decides the noise-free signals; tolerances and noise do not."""
+        """Short hash of all that determines the noise-free signals; tolerances and noise do not."""
         content = {
             "version": _SIGNALS_VERSION,
             "values": {
@@ -436,7 +441,7 @@ _ANGLES = 720
 
 
 def steady_rotation(bench: Bench, reference_speed_rpm: float) -> RigidMotion:
-    """One rotation of the load at a constant speed, from where it hangs straight down."""
+    """One rotation of the load at constant speed, from where it hangs straight down."""
     ratio, speed = bench.value("gear_ratio"), reference_speed_rpm / RPM_PER_RAD_PER_S
     angle = math.copysign(ratio, speed) * np.linspace(0.0, 2.0 * math.pi, _ANGLES)
     speeds = np.full(_ANGLES, speed)
@@ -445,7 +450,7 @@ def steady_rotation(bench: Bench, reference_speed_rpm: float) -> RigidMotion:
 
 
 def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
-    """Smallest and largest torque that the gear passes on in a rotation, N m at the load."""
+    """Smallest and largest torque that the gear transmits in a rotation, N m at the load."""
     motion = steady_rotation(bench, reference_speed_rpm)
     ratio = bench.value("gear_ratio")
     torque = ratio * bench.transmitted_torque(motion)
@@ -456,7 +461,7 @@ def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, f
 
 
 def heaviest(bench: Bench) -> Bench:
-    """With all the gravity that its tolerance allows."""
+    """The bench with the largest gravity torque within its tolerance."""
     gravity = bench.parameters["gravity_torque_nm"]
     return bench.with_parameters(gravity_torque_nm=gravity.value + gravity.tolerance)
 
@@ -464,14 +469,14 @@ def heaviest(bench: Bench) -> Bench:
 def require_flank_change(
     bench: Bench, speeds_rpm: Sequence[float] = (), file: str | Path | None = None
 ) -> None:
-    """Refuse speeds, all of them, at which a bench leaves the load on one flank.
+    """Refuse a bench that leaves the load on one flank at all of these speeds.
 
     Parameters
     ----------
     speeds_rpm
         Of the motor; the bench's own by default.
     file
-        Of the bench or the recording, to be named.
+        File of the bench or the recording, for the message.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""What an effect is: the form in which every module of :mod:`bayesbl.bench.effects` declares one.
+"""The form in which every module of :mod:`bayesbl.bench.effects` declares an effect.
 
-Signs: friction opposes motion; torques called losses stand on the side of the load in the
-equation of motion, so a positive offset brakes forward rotation. Motor angles in the periodic
-effects are zero where a relaxed shaft would hold the load at the start angle, or absolute where
-the recording's ``motor_start_angle_rad`` is given.
+Signs: friction opposes motion. Torques called losses act on the load side of the equation of
+motion, so a positive offset brakes forward rotation. Motor angles in the periodic effects are zero
+where a relaxed shaft would hold the load at the start angle, or absolute if the recording's
+``motor_start_angle_rad`` is given.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ class EffectParameter:
     ----------
     role
         ``amplitude``: at zero the effect, or this part of it, is off. ``shape``, ``order`` and
-        ``phase`` matter only while an amplitude is not zero; an order is found from the data; a
-        phase belongs to each recording, as the motor starts at another angle.
+        ``phase`` matter only while an amplitude is not zero. An order is found from the data. A
+        phase belongs to each recording, because the motor starts at another angle.
     low, high
-        Range that a search may use on the reference bench; on others ``search_scale`` scales it.
+        Search range on the reference bench; ``search_scale`` scales it for others.
     typical
-        A middling strength on the reference bench: it shows and spoils nothing.
+        A middling strength on the reference bench: visible but harmless.
     neutral
-        Value where it is not given: off for an amplitude, a default for the others.
+        Value if it is not given: off for an amplitude, a default for the others.
     repeats
-        Of an amplitude, whether the bench in steady rotation repeats every load rotation with it:
+        For an amplitude, whether the bench in steady rotation repeats every load rotation with it:
         ``always``, only with a whole number of cycles per load rotation (``whole_orders``), or
-        ``never``. What is declared to repeat is simulated for one rotation and continued.
+        ``never``. A repeating bench is simulated for one rotation and continued.
     smaller_than
-        Of an amplitude, a size that the simulator refuses, as it does all beyond.
+        For an amplitude, the smallest magnitude that the simulator refuses.
     bounded
-        Of the others, whether it refuses what is not between ``low`` and ``high``, while an
+        For the others, whether the simulator refuses values outside ``low`` to ``high`` while an
         amplitude is not zero.
     sought_from
-        Lower end of a search in the loop, where it is not ``low``.
+        Lower end of a search in the loop, if it is not ``low``.
     rate_of
-        The parameter whose change in a second this is.
+        The parameter whose change per second this is.
     starts
-        Where a search of a shape begins besides ``neutral``; empty for a grid over the range.
+        Starts of a search of a shape besides ``neutral``; empty for a grid over the range.
     """
 
     name: str
@@ -84,7 +84,7 @@ class EffectParameter:
 
     @property
     def unit(self) -> str:
-        """As its name ends; empty for a pure number."""
+        """Unit, from the ending of the name; empty for a pure number."""
         return unit_of(self.name)
 
     @property
@@ -94,17 +94,17 @@ class EffectParameter:
 
     @property
     def not_negative(self) -> bool:
-        """Whether the simulator refuses an amplitude below zero: where no search goes there."""
+        """Whether the simulator refuses an amplitude below zero: if the search range has none."""
         return self.is_amplitude and self.low >= 0.0
 
     @property
     def positive_scale(self) -> bool:
-        """Whether the simulator refuses zero and below while an amplitude is not zero: of a shape
-        whose search begins above zero."""
+        """Whether the simulator refuses values ≤ 0 while an amplitude is not zero: a shape with a
+        search range above zero."""
         return self.role == "shape" and self.low > 0.0
 
     def scaled(self, factor: float) -> EffectParameter:
-        """The same of a joint on which all its values are so many times as large."""
+        """The parameter with all its values multiplied by a factor, for a joint of another size."""
         return replace(
             self,
             low=factor * self.low,
@@ -130,7 +130,7 @@ def order(typical: float) -> EffectParameter:
 
 
 def phase(typical: float) -> EffectParameter:
-    """Phase φ of what turns with the motor."""
+    """Phase φ of a signal that turns with the motor."""
     return EffectParameter(
         PHASE, "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical
     )
@@ -138,14 +138,15 @@ def phase(typical: float) -> EffectParameter:
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """Motion of the motor that a law is evaluated along, each of shape (n,), SI.
+    """Motion of the motor along which a law is evaluated, each of shape (n,), SI.
 
     Attributes
     ----------
     angle
         Motor angle θ_m, rad; the load's is θ_m/N.
     sway
-        d²/dt² exp(i θ_m), differentiated as the motion was, 1/s²: what an eccentric encoder adds.
+        d²/dt² exp(i θ_m), differentiated as the motion was, 1/s²: the signal of an eccentric
+        encoder.
     friction_width
         Motor speed over which dry friction changes its sign, rad/s; 0 for a sign that jumps.
     """
@@ -162,17 +163,17 @@ Parameters = Mapping[str, float]
 
 
 class BenchValues(Protocol):
-    """What an effect asks of the bench that it is in."""
+    """The properties of a bench that its effects use."""
 
     @property
     def drive(self) -> str:
         """``"two_mass"`` or ``"rigid"``."""
 
     def value(self, name: str) -> float:
-        """Of a parameter of the bench, in its unit."""
+        """Value of a bench parameter, in its unit."""
 
     def transmitted_torque(self, motion: RigidMotion) -> FloatArray:
-        """Torque that the gear passes on, at the motor, N m, shape (n,)."""
+        """Torque that the gear transmits, at the motor, N m, shape (n,)."""
 
 
 Law = Callable[[RigidMotion, BenchValues, Parameters], FloatArray]
@@ -181,28 +182,27 @@ Law = Callable[[RigidMotion, BenchValues, Parameters], FloatArray]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigidLaw:
-    """The part an effect has in a comparison with a rigid bench.
+    """The term of an effect in a comparison with a rigid bench.
 
     Attributes
     ----------
     signal
         Shape (n,), linear in the amplitude.
     amplitude
-        The parameter that is zero when the effect is absent.
+        The parameter that is zero if the effect is absent.
     linear
-        Parameters beside the amplitude that the signal is linear in.
+        Other parameters in which the signal is linear.
     scanned, grid
-        A speed to scan, and the values to try in RMS speeds of the recordings' motor. An order gets
+        A speed to scan, and the values to try, in RMS motor speeds of the recordings. An order gets
         its own grid.
     same_as
-        Effects that are the same law in this comparison, only named for another place.
+        Effects with the same law in this comparison, but at another place.
     contains
-        A simpler effect that this one holds as a special case, and replaces.
+        A simpler effect that is a special case of this one, which replaces it.
     usual
-        Share that it usually has in the root mean square of what is compared: the scale of its
-        size before anything is seen.
+        Usual share in the root mean square of the compared signal: the prior scale of its size.
     requires
-        An effect without which it makes no sense: it is a departure from it.
+        An effect without which this one, a departure from it, makes no sense.
     """
 
     signal: Law
@@ -218,18 +218,19 @@ class RigidLaw:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Resonance:
-    """What an elastic part of a joint swings against: no derivative at a rigid one shows that.
+    """Resonance of an elastic part of a joint, which no derivative at a rigid part shows.
 
     Attributes
     ----------
     inertia
         Bench parameter of the whole inertia on its side of the gear.
     part
-        Shape that says how much of it the spring has behind it.
+        Shape parameter of the inertia behind the spring.
     is_share
-        ``part`` is a share s, so s (1 − s) of the inertia swings; else an inertia of its own.
+        Whether ``part`` is a share s, so that s (1 − s) of the inertia swings; else it is an
+        inertia.
     parts
-        Of the inertia, from which a search starts.
+        Values of ``part``, relative to the inertia, from which a search starts.
     multiples
         Range of its frequency in a search, in √(k/J_l).
     """
@@ -243,44 +244,44 @@ class Resonance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """Everything that is known of one effect but its term in the compiled kernel.
+    """Everything known of one effect except its term in the compiled kernel.
 
     Attributes
     ----------
     place
-        Where it comes in the catalogue: simpler effects before those that hold them.
+        Position in the catalogue: simpler effects before those that contain them.
     name, sentence, equation, data, reference
-        For people; ``data`` is what it looks like in a recording.
+        For people; ``data`` is how it appears in a recording.
     enters
-        Where in the equations.
+        Where it enters the equations.
     depends_on
-        What its size depends on. An effect of the load angle is a candidate only where that is
-        known absolutely; one of the torque passed on only where gravity's is.
+        What its size depends on. An effect of the load angle is a candidate only if that angle is
+        known absolutely; one of the transmitted torque only if gravity's torque is known.
     torque
-        Its part in a rigid comparison of the torque at the motor (N m).
+        Its term in a rigid comparison of the torque at the motor (N m).
     load_torque
         Its torque against a rigid bench's load, N m there.
     free_motion
-        Whether a rigid bench that swings freely shows it; its parameters are then those that the
-        simulator takes.
+        Whether a rigid bench that swings freely shows it; its parameters are then those of the
+        simulator.
     replaces
-        An unknown of every comparison that says the same: the effect is no candidate.
+        An unknown of every comparison that is equivalent: the effect is then no candidate.
     sought_alone
-        Of parameters that recordings cannot show together, the one that a search frees.
+        Among parameters that recordings cannot distinguish, the one that a search frees.
     sought_in_loop
-        Whether recordings at a few constant speeds could show that it is this one.
+        Whether recordings at a few constant speeds could identify it.
     in_bench_file
-        A sentence: how a bench file states it in fewer words than under ``[[effects]]``.
+        A sentence: how a bench file states it more briefly than under ``[[effects]]``.
     resonance
-        Of an elastic part with an inertia behind it.
+        For an elastic part with an inertia behind it.
     always_in
-        It moves δ by more than a standard deviation before it shows, and its usual size may hide
-        (``configs/bias_against_visibility.toml``): every fit of a gap takes it into account.
+        Every fit of a gap allows for it: it moves δ by more than a standard deviation before it
+        becomes visible, and its usual size may be invisible
+        (``configs/bias_against_visibility.toml``).
     may_change
         A setting, a cable or a weight brings it into some recordings of a joint and not others.
     in_nominal
-        A bench has some of it without saying so, so a joint may well have less of it than its
-        bench.
+        A bench includes some of it implicitly, so a joint may well have less of it than its bench.
     """
 
     place: int
@@ -333,7 +334,7 @@ class Effect:
 
     @property
     def main_amplitude(self) -> EffectParameter:
-        """The one that a search frees where recordings cannot show several, or the first."""
+        """The amplitude that a search frees if recordings cannot show several, or the first."""
         alone = (item for item in self.amplitudes if item.name == self.sought_alone)
         return next(alone, self.amplitudes[0])
 
@@ -344,16 +345,16 @@ class Effect:
 
     @property
     def is_periodic(self) -> bool:
-        """It goes as sin(n θ_m + φ), with a phase for each recording."""
+        """Whether it is proportional to sin(n θ_m + φ), with a phase for each recording."""
         return PHASE in self.slots
 
     @property
     def has_order(self) -> bool:
-        """Its cycles per motor turn are a parameter; else there is one."""
+        """Whether its cycles per motor turn are a parameter; otherwise there is one cycle."""
         return ORDER in self.slots
 
     def complete(self, given: Mapping[str, float]) -> dict[str, float]:
-        """All parameters by name, what is not given at its neutral value.
+        """All parameters by name; missing ones at their neutral value.
 
         Raises
         ------
@@ -366,7 +367,7 @@ class Effect:
 
 
 def direction(motion: RigidMotion) -> FloatArray:
-    """sign ω_m smoothed as tanh(ω_m / width), as the simulator's friction has it."""
+    """sign ω_m smoothed as tanh(ω_m / width), as in the simulator's friction."""
     if motion.friction_width == 0.0:
         return np.sign(motion.speed)
     return np.tanh(motion.speed / motion.friction_width)

@@ -1,24 +1,24 @@
 """Equations of motion and their integrator, compiled.
 
-Everything that numba compiles together is in this one file: its cache looks only at the file
-of the outermost function, so a right-hand side kept elsewhere could go stale unnoticed.
+Everything that numba compiles together is in this one file. Its cache checks only the file of the
+outermost function, so a right-hand side kept elsewhere could go stale unnoticed.
 
-State, shape (18,), SI: angle and speed of the gear's input, which is the motor unless a belt drives
-it, twist Δθ, twist speed Δω, integral of the speed error; then, only while an effect is on, lagged
-drive torque, lagged speed, Dahl z; then, only where the bench has such a part, how far the motor is
-ahead of the gear's input and how fast, how far the load is ahead of the arm behind it and how fast,
-angle and speed of the base; then, only where the controller is sampled, the torque it holds, the
-one it has computed since, angle and speed that it saw at its last tick. Where more than one torque
-is on its way, the older ones follow, the newest first. Angles are those against the base. The load
-angle is θ/N − Δθ of the gear's input θ. Twist and twist speed are states of their own because the
-contact depends on them alone and their error is what the step control must see.
+State, shape (18,), SI: angle and speed of the gear's input (the motor, unless a belt drives it),
+twist Δθ, twist speed Δω, and the integral of the speed error. Then, used only while an effect is
+on: lagged drive torque, lagged speed, Dahl z. Then, used only if the bench has the part: lead of
+the motor over the gear's input and its rate, lead of the load over the arm behind it and its rate,
+angle and speed of the base. Then, used only with a sampled controller: the torque it holds, the one
+it has computed since, and the angle and speed at its last tick. If more than one torque is pending,
+the older ones follow, the newest first. Angles are relative to the base. The load angle is θ/N −
+Δθ, with θ the angle of the gear's input. Twist and twist speed are states of their own, because the
+contact depends on them alone and the step control must see their error.
 
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
-changes: at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps;
-and at the ticks of a sampled controller. Within a step the region is fixed, so the right-hand side
+changes (at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps)
+and at the ticks of a sampled controller. The region is fixed within a step, so the right-hand side
 is smooth there.
 
-A load of infinite inertia is an output that is held; the drive's reference is then its torque.
+A held output is a load of infinite inertia; the drive's reference is then its torque.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ LEARNED_HARMONICS = 12
 class Slot(IntEnum):
     """Places in the flat parameter vector, numbered in this order.
 
-    Bench and run come first, then effects as ``effect__parameter``, what was learned, and last what
-    changes no motion: skews and averaging.
+    Bench and run come first, then effects as ``effect__parameter``, learned terms, and last the
+    parameters that change no motion: skews and averaging.
     A vector of zeros in the effects' places is a bench without effects.
     """
 
@@ -161,29 +161,29 @@ POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
-# sign(ω) of friction is tanh(ω/width), the width a share of the joint's reference speed: 1 rpm of
-# 2000. With the output held there is no speed.
+# sign(ω) of friction is tanh(ω/width), where the width is a share of the joint's reference speed:
+# 1 rpm of 2000. With the output held there is no speed, so the width is fixed.
 SIGN_WIDTH_SHARE = 5e-4
 HELD_SIGN_WIDTH = 0.1  # rad/s
-# The integral fades out while the demand passes the current limit by this share of it.
+# The integral fades out while the demand exceeds the current limit by up to this share of it.
 ANTI_WINDUP_BAND = 0.01
 
-# Errors made in one step, as a share of the accuracy asked for. On 300 random benches the worst
-# error of a rotation came to half the accuracy, the median to a fortieth.
+# Error allowed in one step, as a share of the requested accuracy. On 300 random benches, the worst
+# error over a rotation was half the accuracy, the median a fortieth.
 LOCAL_SHARE = 0.004
-# Longest step in radians of the fastest oscillation: what the dense output still follows.
+# Longest step in radians of the fastest oscillation that the dense output still resolves.
 LONGEST_PHASE = 1.0
-# Time between two ticks, in radians of the fastest oscillation, that one step of the classical
-# method takes: its error of phase, (ωh)⁵/120 a step, is 5e-6 rad in a period.
+# Longest time between two ticks, in radians of the fastest oscillation, for one step of the
+# classical method: its phase error, (ωh)⁵/120 per step, is 5e-6 rad in a period.
 SHORT_PHASE = 0.1
-# Widths of a smoothed edge or sign beyond which it bends no more than a step follows.
+# Distance from a smoothed edge or sign, in its widths, beyond which its curvature is negligible.
 CLEAR = 20.0
-# Widths of a smoothed edge within which a step is no longer than two: beyond, a flank bears what it
-# bears with a sharp edge, to e⁻¹⁰ of that of one width.
+# Distance from a smoothed edge, in its widths, within which a step is at most two widths. Beyond,
+# the torque of the flank is that with a sharp edge, to e⁻¹⁰ of that of one width.
 LAYERS = 10.0
-# Of a gap that varies with the load angle: below it the teeth would jam.
+# Least share of a gap that varies with the load angle: below it the teeth would jam.
 LEAST_GAP_SHARE = 0.01
-# rad/s: pace of a rigid bench that nothing drives.
+# rad/s: rate scale of a rigid bench that nothing drives.
 SLOWEST_RATE = 0.1
 
 # Share of a sampling period within which a time counts as the tick itself.
@@ -193,19 +193,19 @@ DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
 
 
-# e₀ of a contact's exponent on an axis without gravity.
+# e₀ of the contact exponent on an axis without gravity.
 COMPRESSION_RAD = 1e-3
 
-# Share of gravity's largest torque below which a load at rest stands inside the gap.
+# Share of gravity's largest torque below which a load at rest may stand inside the gap.
 LOOSE_SHARE = 0.01
 
-# Of a piece of a motion: its start, ω_ref as a cubic, θ_ref as a quartic of the time since. Where
-# the output is held, the drive's torque stands in place of ω_ref.
+# Columns of a piece of a motion: start, ω_ref as a cubic, θ_ref as a quartic of the time since.
+# With a held output, the drive's torque takes the place of ω_ref.
 PIECE_COLUMNS = 10
 
 
 class Constants(NamedTuple):
-    """What the right-hand side needs of the parameter vector, divided out beforehand."""
+    """Constants of the right-hand side, derived from the parameter vector."""
 
     ratio: float
     per_ratio: float
@@ -240,7 +240,7 @@ class Constants(NamedTuple):
     sampled: bool
     waiting: int
     fastest_reference: float
-    # From here on as each piece of a motion sets it.
+    # From here on set by each piece of a motion.
     reference: float
     direction: float
     follows: bool
@@ -264,15 +264,16 @@ _OPTIONS: dict[str, Any] = {
     "fastmath": {"contract"},
 }
 _jit = compiled(**_OPTIONS)
-# In the innermost loop a call with its two dozen constants costs as much as the work.
+# In the innermost loop, a call with its two dozen constants costs as much as the work.
 _inlined = compiled(**_OPTIONS, forceinline=True)
 
 
 @_jit
 def waiting_torques(p):  # type: ignore[no-untyped-def]
-    """How many torques of a sampled controller wait behind the one it computed last.
+    """Number of pending torques of a sampled controller besides the one it computed last.
 
-    That of tick j acts from (j + d) T on, so just after a tick the next to act is so many older.
+    The torque of tick j acts from (j + d) T on. Just after a tick, the next one to act is this many
+    ticks older than the last.
     """
     if not p[Slot.sampled_control__period_s] > 0.0:
         return 0
@@ -283,7 +284,7 @@ def waiting_torques(p):  # type: ignore[no-untyped-def]
 def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     """Constants of one run at constant speed.
 
-    ``reference_angle`` is where the position loop's ramp starts.
+    ``reference_angle`` is where the ramp of the position loop starts.
     """
     effects = False
     for i in range(FIRST_EFFECT, FIRST_SKEW):
@@ -362,7 +363,7 @@ def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
 
 @_inlined
 def reference_speed(t, c):  # type: ignore[no-untyped-def]
-    """ω_ref of the motor, rad/s; where the output is held, its torque, N m."""
+    """ω_ref of the motor, rad/s; with a held output, its torque, N m."""
     if not c.follows:
         return c.reference
     s = t - c.piece_start
@@ -383,7 +384,8 @@ def reference_position(t, c):  # type: ignore[no-untyped-def]
 def shaft_torque(twist, twist_speed, region, sharpness, c):  # type: ignore[no-untyped-def]
     """Shaft torque τ_s on the load side, N m (eqs. 1, 2 and the variable stiffness).
 
-    ``region`` counts the edges below the twist: −δ, δ for the dead zone, −δ, 0, δ for the arctan.
+    ``region`` is the number of edges below the twist: −δ, δ for the dead zone, −δ, 0, δ for the
+    arctan.
     """
     if c.hard:
         if region == 1 and c.gap > 0.0:
@@ -408,7 +410,7 @@ def shaft_torque(twist, twist_speed, region, sharpness, c):  # type: ignore[no-u
 
 @_jit
 def exponent_torque(compression, p, c):  # type: ignore[no-untyped-def]
-    """What a contact of exponent 1 + m bears beyond K_s e, N m."""
+    """Torque of a contact with exponent 1 + m beyond K_s e, N m."""
     excess = p[Slot.contact_exponent__excess]
     if excess == 0.0 or compression == 0.0:
         return 0.0
@@ -419,7 +421,7 @@ def exponent_torque(compression, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def softness_torque(twist, twist_speed, share_of_gap, p, c):  # type: ignore[no-untyped-def]
-    """What flanks with soft edges bear beyond those with sharp ones, N m."""
+    """Torque of flanks with soft edges beyond that with sharp edges, N m."""
     scale = softness_scale(p)
     gap = c.gap * share_of_gap
     near = abs(twist) - gap
@@ -441,8 +443,8 @@ def softness_scale(p):  # type: ignore[no-untyped-def]
 def limited(demand, error, c):  # type: ignore[no-untyped-def]
     """Drive torque within the current limit, and the share of the error that is integrated.
 
-    Conditional integration: beyond the limit the integral stops unless the error drives the
-    demand back. It fades out over a narrow band, for a switch would chatter at the limit.
+    Conditional integration: beyond the limit the integral stops unless the error reduces the
+    demand. It fades out over a narrow band, because a switch would chatter at the limit.
     """
     if abs(demand) <= c.torque_limit:
         return demand, 1.0
@@ -469,7 +471,7 @@ def gap_share(angle, twist, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def contact_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
-    """Twist that the teeth see: Δθ and the transmission error, on the scale of the mean gap."""
+    """Twist at the teeth: Δθ plus the transmission error, on the scale of the mean gap."""
     if not c.effects:
         return twist
     return eccentric_twist(angle, twist, p, c) / gap_share(angle, twist, p, c)
@@ -477,7 +479,7 @@ def contact_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def eccentric_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
-    """Δθ and the transmission error."""
+    """Δθ plus the transmission error."""
     order = p[Slot.gear_transmission_error__order]
     amplitude = p[Slot.gear_transmission_error__angle_rad]
     if amplitude == 0.0:
@@ -488,7 +490,7 @@ def eccentric_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
-    """Learned error of the angle that the encoder shows, rad, and its slope over the angle.
+    """Learned error of the encoder's angle, rad, and its derivative with respect to the angle.
 
     ε = Σ_k a_k cos(2π k θ/X) + b_k sin(2π k θ/X) of the motor's angle θ with the period X.
     """
@@ -536,7 +538,7 @@ def sensed(y, p, c):  # type: ignore[no-untyped-def]
 
 @_inlined
 def controller(t, y, p, c):  # type: ignore[no-untyped-def]
-    """Recorded speed, speed error, torque after the limit, share integrated."""
+    """Recorded speed, speed error, torque after the limit, integrated share of the error."""
     angle, speed = sensed(y, p, c)
     if c.effects and p[Slot.speed_sensor_lag__time_s] > 0.0:
         speed = y[SENSED_SPEED]
@@ -552,13 +554,13 @@ def controller(t, y, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def states_of(c):  # type: ignore[no-untyped-def]
-    """How many states the bench has."""
+    """Number of states of the bench."""
     return STATES + c.waiting if c.sampled else moving_states(c)
 
 
 @_jit
 def moving_states(c):  # type: ignore[no-untyped-def]
-    """How many of them change between the ticks of a sampled controller."""
+    """Number of states that change between the ticks of a sampled controller."""
     if c.structured:
         return HELD_TORQUE
     return BELT_TWIST if c.effects else DRIVE_TORQUE
@@ -566,7 +568,7 @@ def moving_states(c):  # type: ignore[no-untyped-def]
 
 @_jit
 def rest_the_loop(y, speed, torque, p, c):  # type: ignore[no-untyped-def]
-    """Put lags and a sampled controller where this speed and torque have long been."""
+    """Set lags and a sampled controller to their steady state at this speed and torque."""
     if c.effects:
         y[DRIVE_TORQUE] = torque
         y[SENSED_SPEED] = speed
@@ -586,10 +588,11 @@ def next_to_act(y, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def logged_torque(y, repeated, dt, p, c):  # type: ignore[no-untyped-def]
-    """Torque that a sampled drive shows at its tick, N m: the mean of what acts till the next.
+    """Torque that a sampled drive reports at its tick, N m: the mean torque until the next tick.
 
-    So it is d periods old, and smooth in d. A recorder that sees each torque for several samples
-    shows the mean till the next of them. Behind a lag that is the mean of what flows.
+    It is therefore d periods old, and smooth in d. A recorder that sees each torque for several
+    samples reports the mean until its next sample. With a lag of the current loop, it is the mean
+    of the actual torque.
     """
     held = y[HELD_TORQUE]
     if repeated:
@@ -610,14 +613,14 @@ def logged_torque(y, repeated, dt, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def filtered_angle(y, p, c):  # type: ignore[no-untyped-def]
-    """Integral of the speed that the controller is given: T dω_f/dt = ω − ω_f has θ − T ω_f."""
+    """Integral of the speed that the controller gets: T dω_f/dt = ω − ω_f has θ − T ω_f."""
     angle, _ = sensed(y, p, c)
     return angle - p[Slot.speed_sensor_lag__time_s] * y[SENSED_SPEED]
 
 
 @_jit
 def tick(t, y, p, c):  # type: ignore[no-untyped-def]
-    """What a sampled controller does at its tick: a difference, a sum, a torque for later."""
+    """Tick of a sampled controller: difference the angle, sum the error, compute a later torque."""
     period = p[Slot.sampled_control__period_s]
     instant = p[Slot.sampled_control__instant_share]
     for i in range(STATES + c.waiting - 1, STATES, -1):
@@ -648,7 +651,7 @@ def tick(t, y, p, c):  # type: ignore[no-untyped-def]
 
 @_inlined
 def direction_of(ratio):  # type: ignore[no-untyped-def]
-    """Smoothed sign tanh(ω / width); beyond 20 it is ±1 to the last digit."""
+    """Smoothed sign tanh(ω / width); beyond 20 widths it is ±1 to the last digit."""
     if abs(ratio) > 20.0:
         return math.copysign(1.0, ratio)
     return math.tanh(ratio)
@@ -707,7 +710,7 @@ def load_losses(speed, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def learned_torque(t, angle, speed, load_angle, p, c):  # type: ignore[no-untyped-def]
-    """Torque of no known law against the side that it acts at, N m.
+    """Learned torque against the side where it acts, N m.
 
     a_0 + Σ_k a_k cos(2π k x/X) + b_k sin(2π k x/X) of a variable x with the period X.
     """
@@ -743,7 +746,7 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
     acceleration = (torque - losses - load * c.per_ratio) / (c.motor_inertia + reflected)
     mesh = p[Slot.gear_mesh_friction__coefficient] if c.effects else 0.0
     if mesh != 0.0:
-        # The transmitted torque contains the acceleration: solved with its sign held.
+        # The transmitted torque contains the acceleration: solve with its sign fixed.
         transmitted = reflected * acceleration + load * c.per_ratio
         factor = 1.0 + mesh * direction_of(speed / c.friction_width) * math.copysign(
             1.0, transmitted
@@ -756,14 +759,15 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
 
 @_jit
 def chain_accelerations(y, driven, shaft, losses, load_angle, p, c, dy):  # type: ignore[no-untyped-def]
-    """Belt, arm and base: their rows of ``dy``; accelerations of gear input and load, rad/s².
+    """Fill the rows of belt, arm and base in ``dy``; return accelerations of gear input and load,
+    rad/s².
 
         b = θ_m − θ_r,  τ_b = (b + t_b ḃ)/c_b,   J_m − J_r at the motor, J_r at the gear's input
         a = θ_l − θ_a,  τ_a = (a + t_a ȧ)/c_a,   J_l − J_a at the gear, J_a behind the spring
         J_f θ̈_f = −(θ_f + t_f θ̇_f)/c_f + τ_s/N − τ_s − K_t i
 
-    The housing bears what motor and gear push off from. ``driven``: the motor's torque less its
-    losses; ``losses``: of the load but gravity.
+    Motor and gear react against the housing. ``driven``: the motor's torque minus its losses;
+    ``losses``: those of the load without gravity.
     """
     base, base_speed, base_acceleration = 0.0, 0.0, 0.0
     if p[Slot.base__compliance_rad_per_nm] != 0.0:
@@ -806,7 +810,7 @@ def chain_accelerations(y, driven, shaft, losses, load_angle, p, c, dy):  # type
 
 @_jit
 def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
-    """The same with every effect, for the rigid drive and for a held output."""
+    """The right-hand side with every effect, for the rigid drive and for a held output."""
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
@@ -830,7 +834,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
                 phase += p[Slot.gear_transmission_error__phase_rad]
                 slope = p[Slot.gear_transmission_error__angle_rad] * order * math.cos(phase)
                 seen_speed += slope * speed
-            # Twist over the gap's share, torque times it: the edges stay where they are.
+            # Twist divided by the gap's share, torque multiplied by it: the edges stay at ±δ.
             sharpness = c.sharpness * share_of_gap
             shaft = shaft_torque(apparent_twist, seen_speed / share_of_gap, region, sharpness, c)
             shaft *= share_of_gap
@@ -903,9 +907,9 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
 
 @_jit
 def contact_matrix(p, a):  # type: ignore[no-untyped-def]
-    """Time derivative of each state's unit on one tooth flank into the columns of ``a``, (n, n).
+    """Fill the columns of ``a``, (n, n), with the time derivative of each unit state on one flank.
 
-    That is the system's matrix where ``p`` is of a bench whose equations are linear there.
+    For a bench whose equations are linear there, this is the system matrix.
     """
     c = constants(p, 0.0, math.inf)
     y = np.zeros(HELD_TORQUE)
@@ -952,7 +956,7 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
 
 @_jit
 def lower_edge(region, c):  # type: ignore[no-untyped-def]
-    """Twist at which this contact region ends downwards."""
+    """Lower end of this contact region, as a twist."""
     if region == 0:
         return -math.inf
     if region == 1:
@@ -962,7 +966,7 @@ def lower_edge(region, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def upper_edge(region, c):  # type: ignore[no-untyped-def]
-    """Twist at which this contact region ends upwards."""
+    """Upper end of this contact region, as a twist."""
     if region == (2 if c.hard else 3):
         return math.inf
     return lower_edge(region + 1, c)
@@ -1019,10 +1023,10 @@ def step(t, y, h, region, p, c, k, y_new):  # type: ignore[no-untyped-def]
 
 @_inlined
 def short_step(t, y, h, region, p, c, k, y_new, dense):  # type: ignore[no-untyped-def]
-    """One step of the classical method from ``y`` into ``y_new``, with the motor angle's dense row.
+    """One classical Runge-Kutta step from ``y`` into ``y_new``, with the motor angle's dense row.
 
-    ``k[0]`` is given, ``k[1:4]`` filled. For the time between two ticks, short against every
-    oscillation.
+    ``k[0]`` is given, ``k[1:4]`` filled. For the time between two ticks if it is short compared
+    with every oscillation.
     """
     k1, k2, k3, k4 = k[0], k[1], k[2], k[3]
     n = k.shape[1]
@@ -1048,7 +1052,7 @@ def short_step(t, y, h, region, p, c, k, y_new, dense):  # type: ignore[no-untyp
 
 @_inlined
 def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
-    """Whether a state is far from the edges of its contact region and from turning round."""
+    """Whether a state is far from the edges of its contact region and from reversal."""
     if not c.rigid and c.gap > 0.0:
         twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
         if not lower_edge(region, c) + margin < twist < upper_edge(region, c) - margin:
@@ -1064,10 +1068,10 @@ def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def through_layer(y, acceleration, region, layer, p, c):  # type: ignore[no-untyped-def]
-    """Longest step, s, that does not pass a smoothed edge unseen.
+    """Longest step, s, that does not jump over a smoothed edge.
 
-    To the layer at once, and through it by its own widths: a longer step has one stage in it or
-    none, and its error estimate too.
+    It reaches the layer at once, and crosses it in steps of its width. A longer step would have at
+    most one stage in the layer, and its error estimate would miss it.
     """
     twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
     near = min(twist - lower_edge(region, c), upper_edge(region, c) - twist)
@@ -1116,7 +1120,8 @@ def interpolated(dense, i, s):  # type: ignore[no-untyped-def]
 def beyond(s, dense, edge, kind, p, c):  # type: ignore[no-untyped-def]
     """How far an event has been passed at the share ``s`` of the step; negative before it.
 
-    ``kind``: −1 the lower edge of the contact region, 1 the upper one, 0 the load angle ``edge``.
+    ``kind``: −1 for the lower edge of the contact region, 1 for the upper one, 0 for the load angle
+    ``edge``.
     """
     angle = interpolated(dense, MOTOR_ANGLE, s)
     twist = interpolated(dense, TWIST, s)
@@ -1141,9 +1146,9 @@ def event_share(s, dense, edge, kind, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def emit(t, h, dense, row, first, start, moments, out, y, p, c):  # type: ignore[no-untyped-def]
-    """Samples that fall into the step; returns the next sample's number.
+    """Fill the samples that fall into the step; return the next sample's index.
 
-    ``row``: one of position, speed, current, or ``EVERY`` of the rows in ``out``; ``out`` has the
+    ``row``: one of position, speed, current, or ``EVERY`` for all rows in ``out``. ``out`` has the
     row of speed alone, these three, or all states.
     """
     rows = out.shape[0]
@@ -1155,7 +1160,7 @@ def emit(t, h, dense, row, first, start, moments, out, y, p, c):  # type: ignore
         if rows == 1 and not c.effects:
             out[0, index] = interpolated(dense, MOTOR_SPEED, s) * RPM
             continue
-        # What the encoder shows depends on the motor's angle alone.
+        # The encoder's angle depends on the motor's angle alone.
         for i in range(1 if row == POSITION and not c.structured else dense.shape[1]):
             y[i] = interpolated(dense, i, s)
         if row == POSITION:
@@ -1181,9 +1186,9 @@ def emit(t, h, dense, row, first, start, moments, out, y, p, c):  # type: ignore
 
 @_jit
 def emit_average(t, h, dense, first, last, begin, moments, out, y, p, c):  # type: ignore[no-untyped-def]
-    """Samples of the average speed that begin, and that end, in the step; returns the next ones.
+    """Fill samples of the averaged speed that begin or end in the step; return the next indices.
 
-    Until its average ends, a sample's place holds minus the angle at which it began.
+    Until its average ends, the place of a sample holds minus the angle at its beginning.
     """
     averaging = p[Slot.speed_averaging__time_s]
     row = min(SPEED, out.shape[0] - 1)
@@ -1199,7 +1204,7 @@ def emit_average(t, h, dense, first, last, begin, moments, out, y, p, c):  # typ
 
 @_jit
 def shown_angle(t, h, time, dense, y, p, c):  # type: ignore[no-untyped-def]
-    """What the encoder shows at a time in the step."""
+    """Angle that the encoder shows at a time in the step."""
     s = (time - t) / h if h > 0.0 else 1.0
     y[MOTOR_ANGLE] = interpolated(dense, MOTOR_ANGLE, s)
     if c.structured:
@@ -1210,10 +1215,10 @@ def shown_angle(t, h, time, dense, y, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def is_repeated(period, dt):  # type: ignore[no-untyped-def]
-    """Whether a recorder by the same clock sees what a drive holds for several samples.
+    """Whether a recorder with the same clock sees each value of a drive for several samples.
 
-    A slower recorder meets the drive's ticks. Where neither period is a whole number of the other,
-    samples lie on lines between the ticks, which keeps them smooth in the period.
+    A slower recorder samples at the drive's ticks. If neither period is a multiple of the other,
+    samples are interpolated between the ticks, which keeps them smooth in the period.
     """
     samples = period / dt
     return samples > 1.5 and abs(samples - round(samples)) < AT_TICK * samples
@@ -1223,11 +1228,11 @@ def is_repeated(period, dt):  # type: ignore[no-untyped-def]
 def emit_logged(  # type: ignore[no-untyped-def]
     since, until, p, row, first, start, moments, dt, repeated, out, old, new, towards
 ):
-    """Samples between two times at which a sampled drive logs; returns the next sample's number.
+    """Fill samples between two times at which a sampled drive logs; return the next sample's index.
 
-    ``old`` and ``new`` are what is shown at these times. A recorder that sees what is held for
-    several samples shows the mean till the next of them, so that it is smooth in the delay; a
-    lagging current goes ``towards`` a torque meanwhile.
+    ``old`` and ``new`` are the values at these times. A recorder that sees a held value for several
+    samples shows the mean until its next sample, so that it is smooth in the delay. A lagging
+    current meanwhile approaches the torque ``towards``.
     """
     lag = p[Slot.current_loop_lag__time_s] if row == CURRENT else 0.0
     margin = AT_TICK * p[Slot.sampled_control__period_s]
@@ -1250,9 +1255,9 @@ def emit_logged(  # type: ignore[no-untyped-def]
 
 @_jit
 def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-def]
-    """Allowances of belt, arm and base, ``speed`` that of the motor; returns the fastest rate.
+    """Allowances of belt, arm and base, with ``speed`` that of the motor; return the fastest rate.
 
-    Each spring swings between what is on either side of it, both free.
+    Each spring swings between the inertias on both sides, both free.
     """
     belt, arm, base = 0.0, 0.0, 0.0
     if p[Slot.belt__compliance_rad_per_nm] > 0.0:
@@ -1277,7 +1282,7 @@ def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-
 
 @_jit
 def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
-    """Reciprocal of each state's allowance: what it does to the motor speed, in one step.
+    """Reciprocal of each state's allowance: its effect on the motor speed in one step.
 
     Returns the longest step.
     """
@@ -1291,7 +1296,7 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     loop_rate = math.sqrt(c.integral_gain / inertia) + c.speed_gain / inertia
     fastest = math.sqrt(motor_rate**2 + load_rate**2)
     if c.rigid:
-        # Let go, it is gravity that sets the pace.
+        # In free motion, gravity sets the rate.
         swing = math.sqrt(c.gravity * c.per_ratio * c.per_ratio / inertia)
         fastest = max(loop_rate, swing, SLOWEST_RATE)
     torque = speed * inertia * max(fastest, loop_rate)
@@ -1302,7 +1307,7 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
     scale[INTEGRAL] = c.integral_gain / torque
     rate = max(fastest, 0.25 * loop_rate)
     if c.sampled:
-        # A difference over a short period amplifies what the angle is off by.
+        # A difference over a short period amplifies the error of the angle.
         per_period = 1.0 / p[Slot.sampled_control__period_s]
         scale[MOTOR_ANGLE] = max(scale[MOTOR_ANGLE], per_period / speed)
     if c.effects:
@@ -1349,7 +1354,7 @@ def fastest_decay(p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def is_stiffer(p):  # type: ignore[no-untyped-def]
-    """Whether an effect is on that may be faster than all that the bench is judged by."""
+    """Whether an effect is on that may be faster than the rates of :func:`error_scale`."""
     return (
         p[Slot.speed_sensor_lag__time_s] > 0.0
         or p[Slot.current_loop_lag__time_s] > 0.0
@@ -1367,10 +1372,10 @@ def integrate(  # type: ignore[no-untyped-def]
 ):
     """Integrate ``y`` in place until a time or a load angle, sampling on the way.
 
-    Samples j of ``out`` lie at ``start + moments[j]``, less each channel's skew; a speed that is
-    averaged ends there. ``dt``: the recorder's sampling period; ``pieces``: the motion that the
-    reference follows; steps end where a piece does. A sampled controller has a tick at ``start``;
-    the state given is that after the last one. Returns status, time reached, number of right-hand
+    Samples j of ``out`` are at ``start + moments[j]``, minus each channel's skew; the averaging of
+    a speed ends there. ``dt``: the recorder's sampling period; ``pieces``: the motion that the
+    reference follows. Steps end where a piece does. A sampled controller has a tick at ``start``;
+    the given state is that after its last tick. Returns status, time reached, number of right-hand
     sides.
     """
     piece = 0
@@ -1486,7 +1491,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 arrived = True
                 crossed = 0
             if share < 1.0:
-                # The interpolant only says where; the state there is that of a full step.
+                # The interpolant only locates the event; the state there is that of a full step.
                 h_next = h * factor
                 h *= share
                 last = False
@@ -1557,7 +1562,7 @@ def integrate(  # type: ignore[no-untyped-def]
             pause = min(piece_end, next_tick, due)
             right_hand_side(t, y, region, p, c, k[0])
             evaluations += 1
-            # What a pause cut short says nothing of the next step.
+            # A step cut short by a pause says nothing about the next step.
             h_next = max(h_next, min(h_usual, longest))
         if crossed != 0:
             region += crossed
@@ -1569,9 +1574,9 @@ def integrate(  # type: ignore[no-untyped-def]
 
 @_jit
 def hanging(load_angle, p, c):  # type: ignore[no-untyped-def]
-    """Gravity's torque against the shaft at rest, N m, and how far arm and base give way, rad.
+    """Gravity's torque on the shaft at rest, N m, and the deflections of arm and base, rad.
 
-    By fixed-point steps: what gives way is small beside a radian.
+    By fixed-point iteration, since the deflections are much smaller than a radian.
     """
     bent, base = 0.0, 0.0
     torque = gravity_at(load_angle, p, c)
@@ -1590,7 +1595,7 @@ def hanging(load_angle, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def rest_the_structure(y, load_angle, belt_torque, p, c):  # type: ignore[no-untyped-def]
-    """Put belt, arm and base where these torques have long held them."""
+    """Set belt, arm and base to their static deflection under these torques."""
     if not c.structured:
         return
     y[BELT_TWIST] = p[Slot.belt__compliance_rad_per_nm] * belt_torque
@@ -1599,7 +1604,7 @@ def rest_the_structure(y, load_angle, belt_torque, p, c):  # type: ignore[no-unt
 
 @_jit
 def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
-    """Load torque at rest against the shaft, N m, and the learned torque at the motor."""
+    """Load torque on the shaft at rest, N m, and the learned torque at the motor."""
     torque, _, _ = hanging(load_angle, p, c)
     load = torque + load_losses(speed * c.per_ratio, p, c)
     if not c.effects or p[Slot.learned_torque__side] == 0.0:
@@ -1614,7 +1619,8 @@ def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def static_twist(load, p, c):  # type: ignore[no-untyped-def]
-    """Twist beyond the gap, rad, that bears a load torque at rest, N m, by all laws of the flanks.
+    """Twist beyond the gap, rad, that balances a load torque at rest, N m, by all laws of the
+    flanks.
 
     K_s e [(e/e₀)^m ± a] + k₃ e³ = |load|, by Newton's method from the linear law.
     """
@@ -1642,9 +1648,9 @@ def static_twist(load, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def stand(angle, speed, acceleration, load, losses, side, p, c, y):  # type: ignore[no-untyped-def]
-    """Put the states where these torques are balanced at a load angle; the drive's torque, N m.
+    """Set the states to balance these torques at a load angle; return the drive's torque, N m.
 
-    ``side``: flank that the teeth touch on, 1 or −1, or a place within the gap.
+    ``side``: flank on which the teeth touch, 1 or −1, or a position within the gap.
     """
     y[:] = 0.0
     if not c.rigid:
@@ -1680,7 +1686,7 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
 
 @_jit
 def longest_lag(p):  # type: ignore[no-untyped-def]
-    """How long before a sample the earliest lies that a channel shows there."""
+    """Longest time, s, by which a channel's value is older than its sample."""
     speed = p[FIRST_SKEW + SPEED] + p[Slot.speed_averaging__time_s]
     return max(p[FIRST_SKEW + POSITION], speed, p[FIRST_SKEW + CURRENT])
 
@@ -1689,9 +1695,10 @@ def longest_lag(p):  # type: ignore[no-untyped-def]
 def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignore[no-untyped-def]
     """Steady rotation from the load angle ``start_angle_rad`` on, into ``out``.
 
-    The run begins ``settle_s`` or more before, in the middle of a tooth flank (gravity torque
-    largest, so nearly constant), and is recorded once the load passes the start angle, ``moments``
-    (n,) after that. ``state`` receives the state there. Returns status, right-hand sides.
+    The run begins at least ``settle_s`` earlier, in the middle of a tooth flank (where gravity's
+    torque is largest and nearly constant). It is recorded from the time when the load passes the
+    start angle, at ``moments`` (n,) after that. ``state`` receives the state there. Returns status
+    and number of right-hand sides.
     """
     c = constants(p, 0.0, math.inf)
     load_speed = c.reference * c.per_ratio
@@ -1705,7 +1712,7 @@ def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignor
     carried = quasi_static_state(p, begin + math.pi, y)
     if not (quasi_static_state(p, begin, y) and carried):
         return SATURATED, 0
-    # What goes with time begins about when the load will be there, and then exactly there.
+    # A drift in time begins about when the load will be there; in the second run exactly there.
     expected = (start_angle - begin) / load_speed
     in_time = p[Slot.learned_torque__side] != 0.0 and p[Slot.learned_torque__variable] == OVER_TIME
     c = constants(p, y[MOTOR_ANGLE], expected if in_time else math.inf)
@@ -1722,8 +1729,8 @@ def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignor
         return SATURATED, cost
     ramp_start, run_begin = first[MOTOR_ANGLE], 0.0
     if c.sampled:
-        # Its ticks go by the recorder's clock, not by the load's angle: once more, from a tick and
-        # with one at the first sample.
+        # Ticks follow the recorder's clock, not the load's angle. Run once more, starting at a tick
+        # and with one at the first sample.
         period = p[Slot.sampled_control__period_s]
         run_begin = t - math.ceil(t / period) * period
         quasi_static_state(p, begin + load_speed * run_begin, first)
@@ -1742,12 +1749,12 @@ def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignor
     c = constants(p, ramp_start, t)
     lag = longest_lag(p)
     lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
-    # What is logged at a tick is sent at the next.
+    # A value logged at a tick is sent at the next.
     stop = t + moments[-1] + max(0.0, -lead) + 1e-9
     stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
     begun = t
     if lag > 0.0:
-        # A channel that lags shows what was before the start: once more, now with the time known.
+        # A lagging channel shows values from before the start: run once more with the time known.
         begun, y = run_begin, first
     status, _, more = integrate(
         begun, y, stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
@@ -1760,10 +1767,10 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
     """Start of a motion: the load at its start angle, all torques balanced on the loaded flank.
 
     Speed and acceleration are those of the reference at that time, zero for a motion from rest. A
-    held output begins at rest on its lower flank, where torque the other way leaves it. With
+    held output begins at rest on its lower flank, from which opposite torque moves it. With
     ``start_flank`` 1 or −1 the teeth touch on that flank, whatever the torque.
 
-    Returns the reference angle that the controller stands at.
+    Returns the reference angle at which the controller is balanced.
     """
     if c.held:
         y[:] = 0.0
@@ -1775,7 +1782,7 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
     angle = p[Slot.start_angle_rad]
     load, losses = balanced_torques(angle, speed, p, c)
     load += c.load_inertia * acceleration * c.per_ratio
-    # A load that hardly presses may stand anywhere in the gap; so is the start continuous.
+    # Without much torque, the load may stand anywhere in the gap: so the start is continuous.
     side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
     if start_flank != 0.0:
         side = start_flank
@@ -1795,7 +1802,7 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
 
 @_jit
 def simulate_motion(p, pieces, dt, moments, accuracy_rpm, start_flank, out):  # type: ignore[no-untyped-def]
-    """A motion from the state it starts in, into ``out``; returns status, right-hand sides."""
+    """Simulate a motion from its initial state into ``out``; return status and right-hand sides."""
     lag = max(0.0, longest_lag(p))
     lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
     pieces = pieces.copy()
@@ -1803,7 +1810,7 @@ def simulate_motion(p, pieces, dt, moments, accuracy_rpm, start_flank, out):  # 
         pieces[k, 0] += p[Slot.reference_delay_s]
     q = p.copy()
     held = math.isinf(p[Slot.load_inertia_kg_m2])
-    # A slow motion of a fast joint meets the same friction.
+    # The friction width is that of the joint's full speed, also in a slow motion.
     fastest = max(np.max(np.abs(pieces[:, 1])) * RPM, abs(p[Slot.reference_speed_rpm]))
     q[Slot.reference_speed_rpm] = 0.0 if held else fastest
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)

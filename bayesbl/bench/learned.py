@@ -1,15 +1,15 @@
-"""What recordings showed and no effect of the catalogue explains, as a Fourier series.
+"""Torques and encoder errors that no effect of the catalogue explains, as Fourier series.
 
     a_0 + Σ_k a_k cos(2π k x/X) + b_k sin(2π k x/X),    X the period of x
 
-A torque acts against the motor or the load, over the motor's angle, the load's angle, the motor's
-speed or the time. An error of the encoder is how far the angle that the motor's encoder shows is
-from the true one, over that angle and inside the loop:
+A torque acts against the motor or the load, as a function of the motor angle, the load angle, the
+motor speed or time. An error of the encoder is the difference between the shown and the true motor
+angle, as a function of that angle, and inside the loop:
 
     θ_meas = θ_m + ε(θ_m),    ω_meas = ω_m (1 + dε/dθ_m)
 
-Neither has a name but what it depends on. The zero of a motor angle or a time belongs to a
-recording, not to the bench: there the slot ``shift`` is an unknown of each recording.
+Both are known only by what they depend on. The zero of a motor angle or a time belongs to a
+recording, not to the bench. The slot ``shift`` is therefore an unknown of each recording.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ VARIABLES: tuple[Variable, ...] = ("motor_angle", "load_angle", "motor_speed", "
 
 ENCODER: Literal["encoder"] = "encoder"
 LEARNED_TORQUE, ENCODER_ERROR = "learned_torque", "encoder_error"
-"""What a term may be: blocks of slots, of bench files and of results."""
+"""Kinds of term: names of blocks of slots, in bench files and in results."""
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedTerm:
-    """A torque, N m at the side that it acts at; or an error of the encoder, rad.
+    """A learned torque, N m at the side where it acts; or a learned encoder error, rad.
 
-    Where it ``reverses``, it is multiplied by the sign of the motor's speed, as friction is.
+    If it ``reverses``, it is multiplied by the sign of the motor's speed, like friction.
 
     Attributes
     ----------
     period
-        X, in rad, rad/s or s; of the encoder's error a turn of the motor, or a whole part of it.
+        X, in rad, rad/s or s; for an encoder error a turn of the motor, or a whole fraction of it.
     constant
-        a_0. The encoder's error has none: it is where the angle's zero is.
+        a_0. An encoder error has none: it is part of the angle's zero.
     cosine, sine
-        Of the orders 1, 2, …, one as long as the other, at most :data:`LEARNED_HARMONICS`.
+        Coefficients of the orders 1, 2, …, of equal length, at most :data:`LEARNED_HARMONICS`.
     sd
-        Standard deviation of each coefficient: a torque's constant's, the cosines', the sines';
-        empty where they are taken as known.
+        Standard deviation of each coefficient in the order of ``names``; empty if they are taken as
+        known.
     """
 
     side: Side | Literal["encoder"]
@@ -82,25 +82,25 @@ class LearnedTerm:
             )
 
     def _check_series(self) -> None:
-        a = "An error of the encoder" if self.is_of_encoder else "A learned torque"
+        subject = "An error of the encoder" if self.is_of_encoder else "A learned torque"
         orders = self.orders
         if not (len(self.sine) == orders and 0 < orders <= LEARNED_HARMONICS):
             raise BenchError(
-                f"{a} has as many sines as cosines, one of each for every order.",
+                f"{subject} has as many sines as cosines, one of each for every order.",
                 where=self.block,
                 found=f"{orders} cosines, {len(self.sine)} sines",
                 expected=f"from 1 to {LEARNED_HARMONICS} of each",
             )
         if len(self.sd) not in (0, len(self.names)):
             raise BenchError(
-                f"{a} has a standard deviation for each coefficient, or none.",
+                f"{subject} has a standard deviation for each coefficient, or none.",
                 where=f"{self.block} sd",
                 found=f"{len(self.sd)} numbers",
                 expected=f"{len(self.names)}, cosines before sines, a constant before both",
             )
         if not (self.period > 0.0 and math.isfinite(self.period)):
             raise BenchError(
-                f"{a} repeats over its variable.",
+                f"{subject} repeats over its variable.",
                 where=f"{self.block} period",
                 found=f"{self.period:g}",
                 expected="a number above zero",
@@ -113,7 +113,7 @@ class LearnedTerm:
 
     @property
     def block(self) -> str:
-        """What it is called in bench files, and before its slots."""
+        """Its name in bench files, and the prefix of its slots."""
         return ENCODER_ERROR if self.is_of_encoder else LEARNED_TORQUE
 
     @property
@@ -123,22 +123,22 @@ class LearnedTerm:
 
     @property
     def shift_slot(self) -> str:
-        """Slot of what is added to the variable."""
+        """Slot of the shift that is added to the variable."""
         return f"{self.block}__shift" + ("_rad" if self.is_of_encoder else "")
 
     @property
     def belongs_to_recordings(self) -> bool:
-        """Whether the variable's zero is another one in every recording."""
+        """Whether the zero of the variable differs between recordings."""
         return self.variable in ("motor_angle", "time")
 
     @property
     def orders(self) -> int:
-        """How many."""
+        """Number of orders."""
         return len(self.cosine)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Slots of the coefficients: a torque's constant's, the cosines', the sines'."""
+        """Slots of the coefficients: the constant (of a torque), the cosines, the sines."""
         numbers = range(1, 1 + self.orders)
         names = [f"{wave}_{k}" for wave in ("cosine", "sine") for k in numbers]
         if self.is_of_encoder:
@@ -147,7 +147,7 @@ class LearnedTerm:
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """In the order of ``names``."""
+        """Coefficients in the order of ``names``."""
         return (*(() if self.is_of_encoder else (self.constant,)), *self.cosine, *self.sine)
 
     @property
@@ -157,23 +157,23 @@ class LearnedTerm:
         return np.asarray(2.0 * math.pi / self.period * np.arange(1, 1 + self.orders) * sizes)
 
     def fitted(self, values: Mapping[str, float], sds: Mapping[str, float]) -> LearnedTerm:
-        """With these values and standard deviations, by slot; what is not there stays."""
+        """The term with these values and standard deviations, by slot; missing ones stay."""
         n, names = self.orders, self.names
         coefficients = [
             values.get(name, c) for name, c in zip(names, self.coefficients, strict=True)
         ]
-        before = self.sd or (0.0,) * len(names)
+        old_sd = self.sd or (0.0,) * len(names)
         return replace(
             self,
             period=values.get(self.period_slot, self.period),
             constant=self.constant if self.is_of_encoder else coefficients[0],
             cosine=tuple(coefficients[-2 * n : -n]),
             sine=tuple(coefficients[-n:]),
-            sd=tuple(sds.get(name, sd) for name, sd in zip(names, before, strict=True)),
+            sd=tuple(sds.get(name, sd) for name, sd in zip(names, old_sd, strict=True)),
         )
 
     def put_into(self, vector: FloatArray) -> None:
-        """Fill its places of a parameter vector, shape (SLOTS,)."""
+        """Fill its slots of a parameter vector, shape (SLOTS,)."""
         if self.is_of_encoder:
             vector[Slot.encoder_error__orders] = self.orders
         else:
@@ -185,7 +185,7 @@ class LearnedTerm:
             vector[Slot[name]] = value
 
     def over(self, x: FloatArray) -> FloatArray:
-        """Its value at these values of its variable, shape as ``x``; of a torque forwards."""
+        """Its value at values of its variable, shape as ``x``; of a torque in forward motion."""
         cosines, sines = waves_over(x, self.period, self.orders)
         waves = cosines @ np.array(self.cosine) + sines @ np.array(self.sine)
         return np.asarray(self.constant + waves)
@@ -199,7 +199,7 @@ class LearnedTerm:
 
 
 def variable_of(variable: Variable, motion: RigidMotion, gear_ratio: float) -> FloatArray:
-    """What a torque of a rigid bench depends on, shape (n,)."""
+    """Values of the variable that a torque of a rigid bench depends on, shape (n,)."""
     return {
         "motor_angle": motion.angle,
         "load_angle": motion.angle / gear_ratio,

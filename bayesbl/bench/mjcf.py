@@ -1,13 +1,13 @@
-"""A joint with its gap as a model of MuJoCo, so that simulators get a backlash that was measured.
+"""Export a joint with its measured gap as a MuJoCo model (MJCF).
 
-Motor, shaft and load are bodies one behind the other, all as they are at the load:
+Motor, shaft and load are bodies in series, all referred to the load:
 
     motor (J_m N²) ── hinge with spring K_s and damper D_s ── hinge within ±δ ── load (J_l, m g l)
 
-The stop of the last hinge is rigid: the shaft's spring and damper are all that gives way, and only
-while the teeth touch. Friction of the load is that of a tendon over all three hinges, whose length
-is the load's angle. The motor's torque is the actuator's; no controller is written, since MJCF has
-none of a period and integral of its own. Names of MJCF: https://mujoco.readthedocs.io.
+The stop of the last hinge is rigid. Only the shaft's spring and damper yield, and only while the
+teeth touch. Friction of the load is that of a tendon over all three hinges, whose length is the
+load's angle. The motor's torque is that of the actuator. No controller is written, since MJCF has
+none with a period and an integral. MJCF names: https://mujoco.readthedocs.io.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from bayesbl.errors import BenchError
 from bayesbl.units import STANDARD_GRAVITY
 
 SHAFT_SHARE = 1e-3
-"""Of the load's inertia, which a body needs: that of the shaft between spring and gap. The load
-has the rest."""
+"""Share of the load's inertia assigned to the shaft between spring and gap, because a body needs an
+inertia. The load has the rest."""
 
 STEPS_PER_PERIOD = 50.0
-"""Of the shaft's own inertia on its spring, which swings fastest."""
+"""Time steps per period of the shaft's own inertia on its spring, the fastest oscillation."""
 
 STOP_STEPS, STOP_HOLDS = 4.0, "0.99 0.999 0.00001"
-"""Time constant of the stop in steps, and MuJoCo's impedance of it: as stiff as the step allows. It
-gives way by a thousandth of what the shaft does."""
+"""Time constant of the stop in steps, and its MuJoCo impedance: as stiff as the step allows. The
+stop yields by a thousandth of the shaft's deflection."""
 
 LEAST_INERTIA = 1e-9
-"""kg m²: no body may be without any."""
+"""Smallest inertia of a body, kg m²."""
 
 WRITTEN = (
     "motor_coulomb_friction",
@@ -42,26 +42,26 @@ WRITTEN = (
     "load_coulomb_friction",
     "load_viscous_friction",
 )
-"""Effects that MJCF can say."""
+"""Effects that MJCF can express."""
 
 
 def mjcf(bench: Bench, gap_rad: float, values: Mapping[str, float] | None = None) -> str:
-    """The joint as MJCF.
+    """Write the joint as MJCF.
 
     Parameters
     ----------
     bench
-        Of two masses.
+        A bench of two masses.
     gap_rad
         δ, half of the play, at the load.
     values
-        Instead of the bench's, by slot (``shaft_stiffness_nm_per_rad``,
+        Values that replace the bench's, by slot (``shaft_stiffness_nm_per_rad``,
         ``motor_viscous_friction__coefficient_nm_s_per_rad``, …).
 
     Returns
     -------
     An XML text with hinges ``motor``, ``shaft`` and ``gap`` and an actuator ``torque``, N m at the
-    motor. Effects of bench and ``values`` that MJCF cannot say are listed in a comment.
+    motor. Effects of bench and ``values`` that MJCF cannot express are listed in a comment.
 
     Raises
     ------
@@ -79,15 +79,15 @@ def mjcf(bench: Bench, gap_rad: float, values: Mapping[str, float] | None = None
 
     ratio, inertia = value(Slot.gear_ratio), value(Slot.load_inertia_kg_m2)
     root = ET.Element("mujoco", model="joint")
-    lacks = [
+    unsupported = [
         effect.name
         for effect in EFFECTS
         if effect.name not in WRITTEN
         and any(value(effect.slots[item.name]) != 0.0 for item in effect.amplitudes)
     ]
-    lacks += [learned.block for learned in bench.learned_terms]
-    if lacks:
-        root.append(ET.Comment(f" Not written: {', '.join(lacks)} "))
+    unsupported += [learned.block for learned in bench.learned_terms]
+    if unsupported:
+        root.append(ET.Comment(f" Not written: {', '.join(unsupported)} "))
     ET.SubElement(root, "compiler", angle="radian")
     stiffness = value(Slot.shaft_stiffness_nm_per_rad)
     period_s = 2.0 * math.pi * math.sqrt(SHAFT_SHARE * inertia / stiffness)
@@ -162,13 +162,13 @@ def _text(value: float) -> str:
 
 
 def _inertia(body: ET.Element, inertia: float, torque_nm: float = 0.0, at_rad: float = 0.0) -> None:
-    """About the hinge; with a mass that hangs ``at_rad`` before the angle 0."""
+    """Add an inertia about the hinge, with a mass that hangs ``at_rad`` before the angle 0."""
     arm = mass = 0.0
     if torque_nm != 0.0:
-        # On an arm so short that more than a third of the inertia is the body's own.
+        # The arm is so short that more than a third of the inertia is the body's own.
         arm = min(0.5, 0.6 * inertia * STANDARD_GRAVITY / torque_nm)
         mass = torque_nm / (STANDARD_GRAVITY * arm)
-    own = max(inertia - mass * arm**2, LEAST_INERTIA)
-    place = f"{_text(-arm * math.sin(at_rad))} 0 {_text(-arm * math.cos(at_rad))}"
-    size = " ".join([_text(own)] * 3)
-    ET.SubElement(body, "inertial", pos=place, mass=_text(max(mass, 1e-3)), diaginertia=size)
+    body_inertia = max(inertia - mass * arm**2, LEAST_INERTIA)
+    position = f"{_text(-arm * math.sin(at_rad))} 0 {_text(-arm * math.cos(at_rad))}"
+    size = " ".join([_text(body_inertia)] * 3)
+    ET.SubElement(body, "inertial", pos=position, mass=_text(max(mass, 1e-3)), diaginertia=size)

@@ -1,13 +1,13 @@
-"""Motions: what the speed loop is asked to follow, generated or as it was recorded.
+"""Motions: references of the speed loop, generated or recorded.
 
-A motion is a row of pieces one after the other. On a piece that begins at t₀ the references of the
-motor are polynomials of s = t − t₀,
+A motion is a sequence of pieces. On a piece that begins at t₀, the references of the motor are
+polynomials of s = t − t₀,
 
     ω_ref = w₀ + w₁ s + w₂ s² + w₃ s³        θ_ref = a₀ + a₁ s + a₂ s² + a₃ s³ + a₄ s⁴
 
-and the integrator ends a step wherever a piece ends, so that corners of the reference cost nothing
-in accuracy. θ_ref counts from where the motor stands at the start. Where the output is held there
-is no speed loop, and the motor's torque stands in place of ω_ref.
+The integrator ends a step where a piece ends, so corners of the reference cost no accuracy. θ_ref
+counts from the motor's position at the start. With a held output there is no speed loop, and the
+motor's torque takes the place of ω_ref.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from bayesbl.errors import BenchError
 from bayesbl.recording.types import FloatArray
 
 PIECES_PER_PERIOD = 100
-"""Of a sine: a cubic through value and slope at its ends is then off by 2e-7 of the amplitude."""
+"""Pieces per period of a sine: the error of a cubic is then 2e-7 of the amplitude."""
 
 SHORTEST_PIECE_S = 1e-9
-"""Corners that are nearer are one."""
+"""Corners that are closer than this are one corner."""
 
 EARLIER_S = 1e-7
-"""Of a held reference's steps before the samples that show them."""
+"""Lead of a held reference's steps over the samples that show them."""
 
 STRAIGHT_SHARE = 1e-6
-"""Recorded references that are this close to a straight line, as a share of the largest speed, are
-one piece: 0.002 rpm of 2000 rpm."""
+"""Recorded references within this distance of a straight line, as a share of the largest speed,
+become one piece: 0.002 rpm of 2000 rpm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +43,14 @@ class Motion:
     Attributes
     ----------
     pieces
-        Shape (k, PIECE_COLUMNS): start in s, w₀ … w₃ in rad/s and less by s each, a₀ … a₄ in rad.
-        Of a held output w₀ … w₃ in N m and less by s each.
+        Shape (k, PIECE_COLUMNS): start in s; w₀ … w₃ in rad/s, rad/s² …; a₀ … a₄ in rad, rad/s ….
+        With a held output w₀ … w₃ are in N m, N m/s ….
     duration_s
-        To its end.
+        Duration.
     start_angle_rad
-        Load angle that it begins at; ``None`` if it may begin anywhere.
+        Load angle at the start; ``None`` if it may begin anywhere.
     output_held
-        Whether the output cannot turn.
+        Whether the output is blocked.
     """
 
     pieces: FloatArray
@@ -71,13 +71,13 @@ class Motion:
         )
 
     def position_rad(self, time_s: FloatArray) -> FloatArray:
-        """θ_ref less its first value, rad of the motor, shape as ``time_s``."""
+        """θ_ref minus its first value, rad of the motor, shape as ``time_s``."""
         row, s = self._at(time_s)
-        turned = row[:, 6] + s * (row[:, 7] + s * (row[:, 8] + s * row[:, 9]))
-        return np.asarray(row[:, 5] + s * turned, dtype=float)
+        horner = row[:, 6] + s * (row[:, 7] + s * (row[:, 8] + s * row[:, 9]))
+        return np.asarray(row[:, 5] + s * horner, dtype=float)
 
     def at_pace(self, pace: float) -> Motion:
-        """The same way in ``1/pace`` of the time; all of it to the same end."""
+        """The same path in ``1/pace`` of the time, to the same end."""
         power = np.arange(5.0)
         pieces = self.pieces.copy()
         pieces[:, 0] /= pace
@@ -97,7 +97,7 @@ def through(
     slope: FloatArray | None = None,
     position: FloatArray | None = None,
 ) -> FloatArray:
-    """Pieces through speeds (rad/s) at some times, straight, or cubic where slopes are given.
+    """Pieces through speeds (rad/s) at given times: linear, or cubic if slopes are given.
 
     ``position``: θ_ref at those times; the integral of the speed if ``None``.
     """
@@ -113,14 +113,14 @@ def through(
         pieces[:-1, 4] = (slope[:-1] + slope[1:] - 2.0 * rise) / h**2
     integral = pieces[:, 1:5] / np.array([1.0, 2.0, 3.0, 4.0])
     pieces[:, 6:] = integral
-    turned = np.einsum("kj,kj->k", integral[:-1], h[:, None] ** np.arange(1, 5))
-    pieces[1:, 5] = np.cumsum(turned)
+    advance = np.einsum("kj,kj->k", integral[:-1], h[:, None] ** np.arange(1, 5))
+    pieces[1:, 5] = np.cumsum(advance)
     if position is not None:
-        # The recorded angle goes its own way: straight from sample to sample of the pieces, with
-        # the curvature that the speed has.
-        missed = np.diff(position) - turned
+        # The recorded angle differs from the integral of the speed. Spread the difference linearly
+        # over each piece, and keep the curvature of the speed.
+        position_error = np.diff(position) - advance
         pieces[:, 5] = position - position[0]
-        pieces[:-1, 6] += missed / h
+        pieces[:-1, 6] += position_error / h
     return pieces
 
 
@@ -154,57 +154,57 @@ def cycle(
     duration_s: float,
     jerk_rpm_per_s2: float | None = None,
 ) -> Motion:
-    """From point to point of the load and back to the first, over and over, from rest.
+    """Move from point to point of the load and back to the first, repeatedly, starting at rest.
 
-    Trapezoids in speed, or S-curves where the jerk is limited. A way too short to reach the speed,
-    or the acceleration, is crossed without.
+    Speed profiles are trapezoids, or S-curves if the jerk is limited. On a path too short for the
+    full speed or acceleration, the profile does not reach it.
     """
     time, speed, slope = [0.0], [0.0], [0.0]
-    now, at = dwell_s, 0
+    start_s, i = dwell_s, 0
     fastest, steepest = abs(speed_rpm) / RPM, abs(acceleration_rpm_per_s) / RPM
     jerk = math.inf if jerk_rpm_per_s2 is None else abs(jerk_rpm_per_s2) / RPM
-    while now < duration_s:
-        here, there = points_rad[at % len(points_rad)], points_rad[(at + 1) % len(points_rad)]
-        way, direction = gear_ratio * abs(there - here), math.copysign(1.0, there - here)
-        top = min(fastest, _fastest_over(way, steepest, jerk))
-        ramp = _ramp(top, steepest, jerk)
-        whole = way / top + ramp[-1][0]
-        braking = [(whole - t, v, -a) for t, v, a in reversed(ramp)]
-        for when, what, bend in (*ramp, *braking):
-            if now + when > time[-1] + SHORTEST_PIECE_S:
-                time.append(now + when)
-                speed.append(direction * what)
-                slope.append(direction * bend)
-        now, at = now + whole + dwell_s, at + 1
+    while start_s < duration_s:
+        first, second = points_rad[i % len(points_rad)], points_rad[(i + 1) % len(points_rad)]
+        path, direction = gear_ratio * abs(second - first), math.copysign(1.0, second - first)
+        peak_speed = min(fastest, _fastest_over(path, steepest, jerk))
+        ramp = _ramp(peak_speed, steepest, jerk)
+        total_s = path / peak_speed + ramp[-1][0]
+        braking = [(total_s - t, v, -a) for t, v, a in reversed(ramp)]
+        for t_ramp, v_ramp, a_ramp in (*ramp, *braking):
+            if start_s + t_ramp > time[-1] + SHORTEST_PIECE_S:
+                time.append(start_s + t_ramp)
+                speed.append(direction * v_ramp)
+                slope.append(direction * a_ramp)
+        start_s, i = start_s + total_s + dwell_s, i + 1
     bends = None if jerk_rpm_per_s2 is None else np.array(slope)
     return Motion(through(np.array(time), np.array(speed), bends), duration_s, float(points_rad[0]))
 
 
-def _fastest_over(way: float, acceleration: float, jerk: float) -> float:
-    """Largest speed on a way that starts and ends at rest."""
+def _fastest_over(path: float, acceleration: float, jerk: float) -> float:
+    """Largest speed on a path that starts and ends at rest."""
     rounded = acceleration**2 / jerk
-    top = 0.5 * (math.sqrt(rounded**2 + 4.0 * acceleration * way) - rounded)
-    return top if top >= rounded else (0.25 * jerk * way**2) ** (1.0 / 3.0)
+    top = 0.5 * (math.sqrt(rounded**2 + 4.0 * acceleration * path) - rounded)
+    return top if top >= rounded else (0.25 * jerk * path**2) ** (1.0 / 3.0)
 
 
 def _ramp(top: float, acceleration: float, jerk: float) -> list[tuple[float, float, float]]:
     """Time, speed and acceleration at the corners of a start from rest."""
     steepest = min(acceleration, math.sqrt(top * jerk))
-    bending = steepest / jerk
-    while_bending = 0.5 * steepest * bending
-    whole = top / steepest + bending
+    jerk_s = steepest / jerk
+    speed_after_jerk = 0.5 * steepest * jerk_s
+    total_s = top / steepest + jerk_s
     return [
         (0.0, 0.0, 0.0),
-        (bending, while_bending, steepest),
-        (whole - bending, top - while_bending, steepest),
-        (whole, top, 0.0),
+        (jerk_s, speed_after_jerk, steepest),
+        (total_s - jerk_s, top - speed_after_jerk, steepest),
+        (total_s, top, 0.0),
     ]
 
 
 def sine(
     gear_ratio: float, range_rad: tuple[float, float], period_s: float, duration_s: float
 ) -> Motion:
-    """To and fro between two load angles, the angle a cosine from the lower end."""
+    """Oscillate between two load angles, the angle a cosine from the lower end."""
     middle_amplitude = 0.5 * gear_ratio * (range_rad[1] - range_rad[0])
     rate = 2.0 * math.pi / period_s
     time = np.arange(0.0, duration_s + period_s, period_s / PIECES_PER_PERIOD)
@@ -216,14 +216,14 @@ def sine(
 def torque_ramps(
     torque_nm: Sequence[float], cycles: int, period_s: float, start_angle_rad: float = 0.0
 ) -> Motion:
-    """The motor's torque ramped to and fro with the output held, in triangles from zero.
+    """Triangular ramps of the motor's torque from zero, both ways, with the output held.
 
     Parameters
     ----------
     torque_nm
-        Amplitudes, one after the other.
+        Amplitudes, in sequence.
     cycles, period_s
-        To and fro at each amplitude, and the time of each.
+        Number of cycles at each amplitude, and their period.
     """
     quarters = np.tile([0.0, 1.0, 0.0, -1.0], cycles)
     torque = np.append(np.outer(np.asarray(torque_nm, dtype=np.float64), quarters).ravel(), 0.0)
@@ -240,9 +240,9 @@ def recorded_motion(
 ) -> Motion:
     """The motion of reference channels, shape (n,), at evenly spaced times.
 
-    With the position alone the speed is its derivative; with the speed alone the position is its
-    integral. Straight stretches become one piece, and the corners between them are put where the
-    stretches meet, between two samples.
+    With the position alone, the speed is its derivative; with the speed alone, the position is its
+    integral. Straight stretches become one piece. Their corners are placed where the stretches
+    meet, between two samples.
 
     Raises
     ------
@@ -251,25 +251,25 @@ def recorded_motion(
     """
     time = time_s - time_s[0]
     if speed_rpm is not None:
-        at, speed = time, speed_rpm / RPM
+        speed_time, speed = time, speed_rpm / RPM
     elif position_rad is not None:
-        # Between two samples the mean speed is known exactly; at the first and the last it goes on
-        # in a straight line.
+        # The mean speed between two samples is known exactly; it is extrapolated linearly to the
+        # first and the last sample.
         mean = np.diff(position_rad) / np.diff(time)
-        at = np.r_[time[0], 0.5 * (time[1:] + time[:-1]), time[-1]]
+        speed_time = np.r_[time[0], 0.5 * (time[1:] + time[:-1]), time[-1]]
         ends = 0.5 * (mean[[0, -1]] - mean[[1, -2]])
         speed = np.r_[mean[0] + ends[0], mean, mean[-1] + ends[1]]
         position_rad = None
     else:
         raise BenchError("A motion needs a reference speed or position.")
     tolerance = STRAIGHT_SHARE * max(float(np.max(np.abs(speed))), 1e-9)
-    knots, values = _corners_restored(at, speed, _straight(at, speed, tolerance))
+    knots, values = _corners_restored(speed_time, speed, _straight(speed_time, speed, tolerance))
     position = None if position_rad is None else np.interp(knots, time, position_rad)
     return Motion(through(knots, values, position=position), float(time[-1]))
 
 
 def held_motion(motion: Motion, samples: int, sampling_hz: float) -> Motion:
-    """The same motion as a digital drive has it: the reference of each sample held to the next."""
+    """The motion of a digital drive, which holds the reference of each sample until the next."""
     time = np.arange(samples) / sampling_hz
     pieces = np.zeros((samples, PIECE_COLUMNS))
     # A sample sees the reference that came with it.
@@ -281,7 +281,7 @@ def held_motion(motion: Motion, samples: int, sampling_hz: float) -> Motion:
 
 
 def _straight(time: FloatArray, values: FloatArray, tolerance: float) -> list[int]:
-    """Samples whose chords pass all samples within a tolerance, by the cone each can still hold."""
+    """Samples whose chords pass all samples within a tolerance, found by a cone of slopes."""
     kept = [0]
     t, v = time.tolist(), values.tolist()
     low, high = -math.inf, math.inf
@@ -302,7 +302,7 @@ def _straight(time: FloatArray, values: FloatArray, tolerance: float) -> list[in
 def _corners_restored(
     time: FloatArray, speed: FloatArray, kept: list[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Knots at those samples; two neighbours between straight pieces become their corner."""
+    """Knots at these samples; two neighbours between straight pieces become their corner."""
     knots, values = [], []
     n = 0
     while n < len(kept):
@@ -313,12 +313,12 @@ def _corners_restored(
         if between and i - kept[n - 1] >= 2 and kept[n + 2] - i >= 3:
             h = float(time[i + 1] - time[i])
             slope_before = float(speed[i] - speed[i - 1]) / h
-            right = float(speed[i + 2] - speed[i + 1]) / h
-            rise = float(speed[i + 1] - speed[i]) - right * h
-            at = rise / (slope_before - right) if slope_before != right else -1.0
-            if 0.0 <= at <= h:
-                knots[-1] += at
-                values[-1] += slope_before * at
+            slope_after = float(speed[i + 2] - speed[i + 1]) / h
+            rise = float(speed[i + 1] - speed[i]) - slope_after * h
+            corner_s = rise / (slope_before - slope_after) if slope_before != slope_after else -1.0
+            if 0.0 <= corner_s <= h:
+                knots[-1] += corner_s
+                values[-1] += slope_before * corner_s
                 n += 1
         n += 1
     return np.array(knots), np.array(values)

@@ -1,8 +1,8 @@
-"""The bench's own parameters: name, meaning, sign; and the flat vector they travel in.
+"""The bench's own parameters (name, meaning, sign) and their flat vector.
 
-Some of them move between two snapshots though nobody touched the joint: "nothing but the gap
-changed" is never assumed, as grease warms up, magnets weaken, bearings settle. What is known of
-several of them together is a normal distribution of their logarithms.
+Some parameters drift between two snapshots even if nobody touched the joint: grease warms up,
+magnets weaken, bearings settle. It is therefore never assumed that only the gap changed. Joint
+knowledge of several parameters is a normal distribution of their logarithms.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from bayesbl.units import unit_of
 
 @dataclass(frozen=True, slots=True)
 class ParameterInfo:
-    """What a bench parameter is.
+    """Declaration of a bench parameter.
 
-    ``positive``: it must not be zero, and above it unless ``signed``; if not, zero is allowed too.
-    ``default``: value in a bench file that does not give it, ``None`` if it must. ``idle``: value
-    in the file of a rigid bench that does not give it and is only compared with recordings, never
-    driven. ``correctable``: a wrong value of it is an explanation of its own (a parameter error)
-    when recordings and bench disagree.
+    ``positive``: it must not be zero, and must be above zero unless ``signed``; if not
+    ``positive``, zero is allowed too. ``default``: value if a bench file does not give it; ``None``
+    if it must. ``idle``: value if the file of a rigid bench does not give it, which is only
+    compared with recordings and never driven. ``correctable``: whether a wrong value can explain a
+    disagreement of recordings with the bench (a parameter error).
     """
 
     name: str
@@ -44,7 +44,7 @@ class ParameterInfo:
 
     @property
     def unit(self) -> str:
-        """As its name ends; empty for a pure number."""
+        """Unit, from the ending of the name; empty for a pure number."""
         return unit_of(self.name)
 
 
@@ -117,24 +117,22 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
 PARAMETER_INFO: Mapping[str, ParameterInfo] = {info.name: info for info in BENCH_PARAMETERS}
 
 CORRECTABLE_PARAMETERS = tuple(info.name for info in BENCH_PARAMETERS if info.correctable)
-"""Parameters whose wrong values are a class of explanations of their own.
-
-See docs/design.md, "What recordings cannot tell apart".
-"""
+"""Parameters whose wrong values are a separate class of explanations. See docs/design.md, "What
+recordings cannot tell apart"."""
 
 SMALLEST_SHARPNESS_GAP = 50.0
 """α·δ below which the arctan form has no dead zone left, only a weak shaft."""
 
 SHARPEST_PER_RAD = 5e5
-"""α from which a gap may be as small as it likes: edges of 2 µrad, 0.2 µm at 100 mm, are sharper
-than any tooth's, and the 2 K_s/(π α) of torque that the dead zone lacks around zero twist moves no
-impact."""
+"""α above which the gap may be arbitrarily small. Edges of 2 µrad, 0.2 µm at 100 mm, are sharper
+than those of any tooth, and the torque of 2 K_s/(π α) that the dead zone lacks around zero twist
+moves no impact."""
 
 
 def declaration_of(name: str) -> ParameterInfo | EffectParameter:
-    """What is declared of a bench parameter or ``effect.parameter``, also by its slot's name."""
-    owner, _, own = name.replace("__", ".").partition(".")
-    return effect_named(owner).parameter(own) if own else PARAMETER_INFO[owner]
+    """Declaration of a bench parameter or ``effect.parameter``, also by its slot's name."""
+    owner, _, parameter = name.replace("__", ".").partition(".")
+    return effect_named(owner).parameter(parameter) if parameter else PARAMETER_INFO[owner]
 
 
 def label(slot: Slot) -> str:
@@ -166,15 +164,15 @@ def check_parameters(matrix: FloatArray) -> None:
     Parameters
     ----------
     matrix
-        Shape (m, SLOTS), one parameter vector a row.
+        Shape (m, SLOTS), one parameter vector per row.
 
     Raises
     ------
     BenchError
-        Naming the parameter, the row's value and what was expected.
+        With the parameter, the row's value and the expected values.
     """
-    for place in np.flatnonzero(~np.isfinite(matrix).all(axis=0)):
-        _refuse_where(~np.isfinite(matrix[:, place]), matrix, Slot(int(place)), "a finite number")
+    for column in np.flatnonzero(~np.isfinite(matrix).all(axis=0)):
+        _refuse_where(~np.isfinite(matrix[:, column]), matrix, Slot(int(column)), "a finite number")
     for info in BENCH_PARAMETERS:
         slot = Slot[info.name]
         values = matrix[:, slot]
@@ -197,9 +195,9 @@ def check_parameters(matrix: FloatArray) -> None:
 
 
 def _check_gap(matrix: FloatArray) -> None:
-    own = matrix[:, Slot.gap_rad]
-    beyond = (own < 0.0) | (own > math.pi)
-    _refuse_where(beyond, matrix, Slot.gap_rad, "zero or a number above it, at most π: half a turn")
+    gap_rad = matrix[:, Slot.gap_rad]
+    wrong = (gap_rad < 0.0) | (gap_rad > math.pi)
+    _refuse_where(wrong, matrix, Slot.gap_rad, "zero or a number above it, at most π: half a turn")
     gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
     sharpness = matrix[:, Slot.stiffness_sharpness_per_rad]
     arctan = (matrix[:, Slot.hard_dead_zone] == 0.0) & (matrix[:, Slot.rigid] == 0.0)
@@ -218,18 +216,18 @@ def _check_gap(matrix: FloatArray) -> None:
 
 
 ROUNDING = 1e-12
-"""Of the end of a range: from its logarithm it comes back a rounding error off."""
+"""Relative tolerance of the ends of a range, which may have been rounded via their logarithm."""
 
 SMALLEST = 1e-30
-"""Size of a parameter: products and ratios of a few such numbers are numbers still."""
+"""Smallest size of a parameter: products and ratios of a few such numbers stay finite."""
 
 _POSITIVE = (0.0, math.inf, True, "a number above zero")
 _NOT_NEGATIVE = (0.0, math.inf, False, "zero or a number above it")
 
 
 def _bounds() -> Iterator[tuple[Slot, float, float, bool, str, list[Slot]]]:
-    """Of a slot: least and largest value, whether both are excluded, what is expected, and the
-    slots that are not all zero where that holds."""
+    """Yield per slot: least and largest value, whether both are excluded, the expected values as
+    text, and the slots of which one must be non-zero for the bounds to hold."""
     yield Slot.learned_torque__period, *_POSITIVE, [Slot.learned_torque__side]
     yield Slot.encoder_error__period_rad, *_POSITIVE, [Slot.encoder_error__orders]
     for effect in EFFECTS:
@@ -254,9 +252,9 @@ _DECLARED = {effect.slots[item.name]: item for effect in EFFECTS for item in eff
 
 
 def simulated_range(name: str) -> tuple[float, float]:
-    """Least and largest value of a slot that an effect is declared to have, by the slot's name.
+    """Smallest and largest value of a slot that its effect declares, by the slot's name.
 
-    Infinite where there is no such end, as for what is no effect's.
+    Infinite without such an end, as for slots of no effect.
     """
     item = _DECLARED.get(Slot[name])
     if item is not None and item.bounded:
@@ -282,10 +280,10 @@ def rotation_period_s(matrix: FloatArray) -> FloatArray:
     return period
 
 
-# Lubricant is warmer or colder by some 20 K: Bittencourt & Gunnarsson 2012, J. Dyn. Syst. Meas.
-# Control 134, 051013. So are motors: the remanence of Nd-Fe-B falls by 0.08 to 0.12 % per kelvin
-# (IEC 60404-8-1). Young's modulus of steel falls by 0.03 % per kelvin; preload of bearings does
-# the rest.
+# Lubricant temperatures vary by some 20 K: Bittencourt & Gunnarsson 2012, J. Dyn. Syst. Meas.
+# Control 134, 051013. So do those of motors: the remanence of Nd-Fe-B falls by 0.08 to 0.12 % per
+# kelvin (IEC 60404-8-1). Young's modulus of steel falls by 0.03 % per kelvin; the preload of
+# bearings accounts for the rest.
 DEFAULT_DRIFT: Mapping[str, float] = MappingProxyType(
     {
         "shaft_damping_nm_s_per_rad": 0.2,
@@ -304,24 +302,22 @@ DEFAULT_DRIFT: Mapping[str, float] = MappingProxyType(
         "gear_mesh_friction": 0.2,
     }
 )
-"""Relative standard deviation between two snapshots, by name of a bench parameter or effect; what
-is not here does not drift unless told.
-
-Gains and payload are set by people: they stay or are changed, and a change shows.
-"""
+"""Relative standard deviation between two snapshots, by name of a bench parameter or effect. Other
+parameters do not drift unless configured. Gains and payload are set by people: they stay or are
+changed, and a change shows."""
 
 
 def drift_of(name: str, stated: Mapping[str, float]) -> float:
     """Relative standard deviation of a parameter, an effect or ``effect.parameter``."""
-    of_effect = name.partition(".")[0]
+    effect = name.partition(".")[0]
     return next(
-        (d[key] for d in (stated, DEFAULT_DRIFT) for key in (name, of_effect) if key in d), 0.0
+        (d[key] for d in (stated, DEFAULT_DRIFT) for key in (name, effect) if key in d), 0.0
     )
 
 
 FURTHEST = 5.0
-"""Standard deviations that a parameter may be from its value: further by chance once in two
-million; one that is there contradicts what it was identified from."""
+"""Largest distance of a parameter from its value, in standard deviations: farther by chance once in
+two million, so a parameter there contradicts its identification."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -331,9 +327,9 @@ class JointNormal:
     Attributes
     ----------
     names
-        Of k bench parameters, all above zero.
+        k bench parameters, all above zero.
     covariance
-        Of their logarithms, shape (k, k), positive definite.
+        Covariance of their logarithms, shape (k, k), positive definite.
     sources
         SHA-256 of the files that it was learned from.
     """
@@ -354,6 +350,6 @@ class JointNormal:
         return np.asarray(np.linalg.inv(root))
 
     def draw(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Factors of the values, shape (count, k)."""
+        """Draw factors of the values, shape (count, k)."""
         root = np.linalg.cholesky(self.covariance)
         return np.exp(rng.standard_normal((count, len(self.names))) @ root.T)

@@ -1,6 +1,6 @@
-"""Many simulations at once over the cores, from flat parameter vectors to arrays.
+"""Run many simulations in parallel, from flat parameter vectors to arrays.
 
-And how the bench is seen: encoder counts, noise, and which sensor the speed is of.
+Also model the measurement: encoder counts, noise, and the source of the speed.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ SpeedSource = Literal["sensor", "encoder"]
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """How the bench is seen.
+    """How the bench is measured.
 
     Attributes
     ----------
     encoder_counts
         Counts per motor revolution; ``None`` for an ideal encoder.
     speed_source
-        ``sensor``: the speed the controller sees, with noise. ``encoder``: backward difference
-        of the recorded position over one sample (the first sample repeats the second), no noise
-        of its own.
+        ``sensor``: the speed that the controller sees, with noise. ``encoder``: backward difference
+        of the recorded position over one sample (the first sample repeats the second), without
+        noise of its own.
     speed_noise, current_noise
         In rpm and A.
     noise_through_controller
-        The speed noise is inside the loop: the controller answers it, on the linear bench in
-        contact, and the recorded speed holds the motor's answer too.
+        Whether the speed noise is inside the loop: the controller responds to it, on the linear
+        bench in contact, and the recorded speed includes the motor's response.
     """
 
     encoder_counts: int | None = None
@@ -53,10 +53,10 @@ class Measurement:
     noise_through_controller: bool = False
 
     def seen_by(self, matrix: FloatArray, sampling_hz: float) -> FloatArray:
-        """Benches, shape (m, SLOTS), with the speed averaged as its source does at this rate.
+        """Benches, shape (m, SLOTS), with the averaging of the speed by its source at this rate.
 
-        A difference of the encoder's positions is an average over a sampling period; where a bench
-        states an average, that is all of it.
+        A difference of encoder positions is an average over a sampling period. If a bench states an
+        averaging time, that includes it.
         """
         if self.speed_source != "encoder":
             return matrix
@@ -74,18 +74,18 @@ class Measurement:
         sampling_hz: float,
         rng: np.random.Generator | None,
     ) -> dict[str, FloatArray]:
-        """As recorded, from what happened, each (n,).
+        """Recorded channels from the true signals, each (n,).
 
-        ``loop`` has the parameters of the speed loop, ``None`` where there is none; without
-        ``rng`` there is no noise.
+        ``loop`` has the parameters of the speed loop; ``None`` if there is none. Without ``rng``
+        there is no noise.
         """
         if rng is not None:
             noise = self.speed_noise.draw(speed.size, rng)
             current = current + self.current_noise.draw(speed.size, rng)
             if self.noise_through_controller and loop is not None:
-                motion, answer = noise_through_loop(loop, noise, 1.0 / sampling_hz)
+                motion, response = noise_through_loop(loop, noise, 1.0 / sampling_hz)
                 noise = noise + motion
-                current = current + answer
+                current = current + response
             speed = speed + noise
         if self.encoder_counts is not None:
             position = quantised(position, self.encoder_counts)
@@ -99,8 +99,8 @@ PERFECT = Measurement()
 
 
 ACCURACY = 5e-6
-"""Largest error of a simulated speed where none is given, as a share of the fastest reference
-speed: 0.01 rpm of 2000."""
+"""Default for the largest error of a simulated speed, as a share of the fastest reference speed:
+0.01 rpm of 2000."""
 UNDRIVEN_ACCURACY_RPM = 0.01
 
 _REASONS = {
@@ -130,25 +130,25 @@ def simulate_channels(
     Parameters
     ----------
     parameter_matrix
-        Shape (m, SLOTS), one simulation a row (see ``kernel.Slot``).
+        Shape (m, SLOTS), one simulation per row (see ``kernel.Slot``).
     samples, sampling_hz
-        Number n and rate of the samples; the first lies where the load passes the start angle.
+        Number n and rate of the samples; the first is where the load passes the start angle.
     moments_s
-        Times of the samples from there on, ascending, (n,); ``None`` for evenly at the rate.
+        Times of the samples from there on, ascending, (n,); ``None`` for even spacing at the rate.
     accuracy_rpm
         Largest error of the speed, rpm; ``None`` for ``ACCURACY`` of the reference speed.
     workers
         Threads; the numbers do not depend on it.
     failures
-        ``"raise"``, or ``"nan"`` to fill failed rows with nan, as samplers want it.
+        ``"raise"``, or ``"nan"`` to fill failed rows with nan, for samplers.
     ends
-        Filled with the states at the first sample, as :func:`start_states` gives them.
+        Output: the states at the first sample, as :func:`start_states` returns them.
 
     Returns
     -------
-    Array of shape (m, 3, n): position in rad (continuing from one turn to the next, not yet begun
-    at zero, not quantised), speed in rpm as the controller sees it, current in A. With
-    ``speed_alone`` shape (m, 1, n).
+    Array of shape (m, 3, n): position in rad (continuous over turns, without offset to zero or
+    quantisation), speed in rpm as the controller sees it, current in A. With ``speed_alone`` shape
+    (m, 1, n).
 
     Raises
     ------
@@ -192,12 +192,12 @@ def simulate_motions(
     states: bool = False,
     start_flank: float = 0.0,
 ) -> FloatArray:
-    """As :func:`simulate_channels` where the speed loop follows a motion: shape (m, 3, n).
+    """Like :func:`simulate_channels`, but the speed loop follows a motion: shape (m, 3, n).
 
-    The first sample lies at the motion's start, with the load at ``start_angle_rad``, all torques
-    balanced on the flank that the load's torque presses on, or on ``start_flank`` if that is 1 or
-    −1; where the output is held, at rest on the lower flank. With ``states`` all states as
-    :func:`simulate_states` gives them, shape (m, 12, n).
+    The first sample is at the motion's start, with the load at ``start_angle_rad`` and all torques
+    balanced, on the flank that the load's torque presses on, or on ``start_flank`` if that is 1 or
+    −1. A held output starts at rest on the lower flank. With ``states``, all states as from
+    :func:`simulate_states`, shape (m, 18, n).
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
     fastest = 0.0 if motion.output_held else motion.fastest_rpm
@@ -233,14 +233,13 @@ def simulate_states(
     accuracy_rpm: float | None = None,
     friction_width_rad_per_s: float | None = None,
 ) -> FloatArray:
-    """All states from a given one on: free motion, transients, laws. Shape (12, n), SI.
+    """All states from an initial one: free motion, transients, tests of laws. Shape (18, n), SI.
 
-    States as in ``kernel``: motor angle, motor speed, twist, twist speed, integral, drive torque,
-    sensed speed, Dahl z (these three zero while no effect is on); of a sampled controller, which
-    has just had a tick, torque held, torque computed last, angle and speed at the tick; torques
-    that wait behind it follow in the initial state. The position loop's ramp starts at the initial
-    motor angle. Dry friction changes its sign over the given width at the motor, by default over
-    what holds elsewhere. No check of the parameters, so gains may be zero here.
+    States as in ``kernel``. Those of effects, structure and a sampled controller are zero while
+    these are off. A sampled controller has just had a tick. The torques that wait behind it follow
+    in the initial state. The ramp of the position loop starts at the initial motor angle. Dry
+    friction changes its sign over the given width at the motor, by default over the usual one.
+    Parameters are not checked, so gains may be zero here.
     """
     c = kernel.constants(parameters, initial_state[0], 0.0)
     if friction_width_rad_per_s is not None:
@@ -274,7 +273,7 @@ def simulate_states(
 def start_states(parameter_matrix: FloatArray, *, accuracy_rpm: float | None = None) -> FloatArray:
     """States at the first sample of a steady rotation, SI.
 
-    Shape (m, 12), or as many more as torques of a sampled controller wait.
+    Shape (m, 18), plus the waiting torques of a sampled controller.
     """
     states = _room_for_states(parameter_matrix)
     simulate_channels(
@@ -293,10 +292,10 @@ def _even_s(out: FloatArray, sampling_hz: float) -> FloatArray:
     return np.asarray(np.arange(out.shape[-1]) * (1.0 / sampling_hz), dtype=np.float64)
 
 
-def _accuracy_rpm(asked_rpm: float | None, reference_rpm: FloatArray) -> FloatArray:
-    """Of each simulation, as the reference speeds are given."""
-    if asked_rpm is not None:
-        return np.full_like(reference_rpm, asked_rpm)
+def _accuracy_rpm(given_rpm: float | None, reference_rpm: FloatArray) -> FloatArray:
+    """Accuracy of each simulation, rpm, by default from its reference speed."""
+    if given_rpm is not None:
+        return np.full_like(reference_rpm, given_rpm)
     share = ACCURACY * np.abs(reference_rpm)
     return np.where(share > 0.0, share, UNDRIVEN_ACCURACY_RPM)
 
@@ -304,7 +303,7 @@ def _accuracy_rpm(asked_rpm: float | None, reference_rpm: FloatArray) -> FloatAr
 def _sound(
     matrix: FloatArray, out: FloatArray, sampling_hz: float, accuracy_rpm: FloatArray
 ) -> FloatArray:
-    """The parameter vectors as the kernel takes them; raises where nothing can be simulated."""
+    """Check the parameter vectors and convert them for the kernel."""
     if not (np.all(accuracy_rpm > 0.0) and sampling_hz > 0.0 and out.shape[2] > 0):
         raise BenchError(
             "A simulation needs an accuracy, a sampling rate and a number of samples above zero.",
@@ -319,15 +318,15 @@ def _sound(
 def _run_rows(
     run: Callable[[int], int], matrix: FloatArray, out: FloatArray, workers: int, failures: str
 ) -> None:
-    """Run every row, which returns its status; rows that fail are raised, or filled with nan."""
+    """Run every row, which returns its status; raise for failed rows, or fill them with nan."""
     status = np.empty(matrix.shape[0], dtype=np.int64)
 
     def run_all(rows: NDArray[np.int64]) -> None:
         for row in rows:
             status[row] = run(row)
 
-    # Small pieces, so that slow rows do not leave a core idle; each row is on its own, so the
-    # numbers do not depend on how they are dealt out.
+    # Small pieces, so that slow rows leave no core idle. Rows are independent, so the numbers do
+    # not depend on the split.
     rows = np.arange(matrix.shape[0])
     in_threads(run_all, np.array_split(rows, max(1, min(rows.size, 8 * workers))), workers)
     failed = np.flatnonzero(status != kernel.DONE)

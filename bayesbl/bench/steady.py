@@ -1,4 +1,4 @@
-"""Linear bench in contact: how fast transients die, and what the loop does to sensor noise."""
+"""The linear bench in contact: decay of transients, and response of the loop to sensor noise."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from bayesbl.bench.parameters import label, rotation_period_s
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import ComplexArray, FloatArray
 
-# The run-in starts from balanced torques and ends at a tenth of the accuracy asked for. The start
-# is off by the impacts' size, or by what gravity leaks through a soft loop. Loops so slow that this
-# takes longer than twenty rotations are cut there.
+# The run-in starts from balanced torques and ends at a tenth of the requested accuracy. The error
+# at the start is that of the impacts, or of the gravity that leaks through a soft loop. For loops
+# so slow that this takes longer than twenty rotations, it is cut there.
 _START_ERROR = 0.01  # of the reference speed
 _SHARE_OF_ACCURACY = 0.1
 _MOST_ROTATIONS = 20.0
 # Lags of zero become this short: faster than anything else in the bench.
 _SHORTEST_LAG_S = 1e-6
 _ABSENT = -1e6
-# A factor per period that leaves nothing.
+# Smallest factor per period, as good as zero.
 _GONE = 1e-30
 
 _LOOP = (
@@ -46,7 +46,7 @@ _LINEAR = (
     Slot.rigid,
     *(slot for slot in Slot if slot.name.startswith(("belt__", "arm__", "base__"))),
 )
-"""What is left of a bench whose equations are linear on a flank: no friction, no gravity."""
+"""Parameters of a bench whose equations are linear on a flank: no friction, no gravity."""
 
 _PARTS = {
     Slot.integral_gain_nm_per_rad: [kernel.INTEGRAL],
@@ -55,7 +55,7 @@ _PARTS = {
     Slot.arm__compliance_rad_per_nm: [kernel.ARM_TWIST, kernel.ARM_SPEED],
     Slot.base__compliance_rad_per_nm: [kernel.BASE_ANGLE, kernel.BASE_SPEED],
 }
-"""What a bench lacks where it is zero, and the states of that."""
+"""Parts that a bench lacks if the parameter is zero, and their states."""
 
 _SPRINGS = [*_PARTS][2:]
 UNTIL, ACTING, COMING, SEEN = range(kernel.HELD_TORQUE, kernel.HELD_TORQUE + 4)
@@ -65,8 +65,8 @@ TICKING = kernel.HELD_TORQUE + 4
 def contact_matrices(matrix: FloatArray) -> FloatArray:
     """System matrices of the linear bench on one tooth flank.
 
-    States: those of the kernel, belt, arm and base only where any bench has one. States that a
-    bench does not have decay at once and touch nothing.
+    States are those of the kernel, with belt, arm and base only if any bench has one. States that a
+    bench does not have decay at once and are decoupled.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
     linear[np.ix_(rigid, _SPRINGS)] = 0.0
     size = kernel.HELD_TORQUE if np.any(linear[:, _SPRINGS] != 0.0) else kernel.BELT_TWIST
     a = np.empty((matrix.shape[0], size, size))
-    for row, one in zip(linear, a, strict=True):
-        kernel.contact_matrix(row, one)
+    for row, system in zip(linear, a, strict=True):
+        kernel.contact_matrix(row, system)
     lacks = {kernel.DAHL: np.ones_like(rigid), kernel.TWIST: rigid, kernel.TWIST_SPEED: rigid}
     lacks |= {state: linear[:, slot] == 0.0 for slot, states in _PARTS.items() for state in states}
     for state, absent in lacks.items():
@@ -102,15 +102,15 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
 def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     """One period of the linear bench in contact under a sampled controller.
 
-    Of one parameter vector, shape (SLOTS,). States at a tick, after the controller's work: those of
-    :func:`contact_matrices` with the angle since the last tick, the angle until then, the torque
-    that acts, the one computed last, the speed that the controller saw move, and, of a delay above
-    one period, the w torques that are older and do not act yet, the newest first.
+    For one parameter vector, shape (SLOTS,). The states are those at a tick, after the controller's
+    work: those of :func:`contact_matrices` with the angle since the last tick; the angle until
+    then; the torque that acts; the one computed last; the speed that the controller saw; and, for a
+    delay above one period, the w older torques that do not act yet, the newest first.
 
     Returns
     -------
-    Transition over a period, shape (18 + w, 18 + w); and what an error of the speed that the
-    controller sees at its end adds, shape (18 + w,), SI.
+    Transition matrix over a period, shape (18 + w, 18 + w); and the response to an error of the
+    speed that the controller sees at its end, shape (18 + w,), SI.
     """
     period = parameters[Slot.sampled_control__period_s]
     delay = parameters[Slot.sampled_control__delay_periods]
@@ -124,7 +124,7 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     waiting = waiting_torques(parameters)
     states = TICKING + waiting
     oldest = states - 1 if waiting else COMING
-    late = delay - waiting
+    delay_fraction = delay - waiting
     plant = np.zeros((TICKING, TICKING))
     moving = contact_matrices(free[None, :])[0]
     plant[: len(moving), : len(moving)] = moving
@@ -138,45 +138,47 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     apply[ACTING] = apply[oldest]
     before, after = np.eye(states), np.eye(states)
     ticking = np.s_[:TICKING, :TICKING]
-    before[ticking] = linalg.expm(plant * late * period)
-    after[ticking] = linalg.expm(plant * (1.0 - late) * period)
+    before[ticking] = linalg.expm(plant * delay_fraction * period)
+    after[ticking] = linalg.expm(plant * (1.0 - delay_fraction) * period)
     motion = after @ apply @ before
 
-    turned = np.zeros(states)
-    turned[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST]], turned[kernel.SENSED_SPEED] = 1.0, -speed_lag
+    advance = np.zeros(states)
+    advance[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST]], advance[kernel.SENSED_SPEED] = 1.0, -speed_lag
     instant = parameters[Slot.sampled_control__instant_share]
-    fresh = np.zeros(states)
-    fresh[kernel.SENSED_SPEED if speed_lag > 0.0 else [kernel.MOTOR_SPEED, kernel.BELT_SPEED]] = 1.0
-    sensed_speed = (1.0 - instant) * turned / period + instant * fresh
+    direct = np.zeros(states)
+    direct[kernel.SENSED_SPEED if speed_lag > 0.0 else [kernel.MOTOR_SPEED, kernel.BELT_SPEED]] = (
+        1.0
+    )
+    sensed_speed = (1.0 - instant) * advance / period + instant * direct
     error = -sensed_speed
     error[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST, UNTIL]] -= outer
-    work = np.eye(states)
-    work[TICKING:] = np.eye(states)[[COMING, *range(TICKING, states)][:waiting]]
-    work[kernel.MOTOR_ANGLE] -= turned
-    work[UNTIL] = work[UNTIL] + turned if outer > 0.0 else 0.0
-    work[SEEN] = sensed_speed
-    work[kernel.INTEGRAL] = work[kernel.INTEGRAL] + period * error if integral > 0.0 else 0.0
-    work[COMING] = gain * error + integral * work[kernel.INTEGRAL]
+    update = np.eye(states)
+    update[TICKING:] = np.eye(states)[[COMING, *range(TICKING, states)][:waiting]]
+    update[kernel.MOTOR_ANGLE] -= advance
+    update[UNTIL] = update[UNTIL] + advance if outer > 0.0 else 0.0
+    update[SEEN] = sensed_speed
+    update[kernel.INTEGRAL] = update[kernel.INTEGRAL] + period * error if integral > 0.0 else 0.0
+    update[COMING] = gain * error + integral * update[kernel.INTEGRAL]
     noise = np.zeros(states)
     noise[kernel.INTEGRAL] = -period if integral > 0.0 else 0.0
     noise[COMING] = -gain + integral * noise[kernel.INTEGRAL]
     if delay <= 0.0:
-        work[ACTING], noise[ACTING] = work[COMING], noise[COMING]
-    return work @ motion, noise
+        update[ACTING], noise[ACTING] = update[COMING], noise[COMING]
+    return update @ motion, noise
 
 
 def contact_rates(matrix: FloatArray) -> ComplexArray:
-    """Rates of the linear bench's modes on one tooth flank, in time, 1/s.
+    """Rates (eigenvalues) of the linear bench's modes on one tooth flank, in time, 1/s.
 
-    Shape (m, 18), or as many more as torques of a sampled controller wait. A mode that a bench does
-    not have decays at once.
+    Shape (m, 18), plus the waiting torques of a sampled controller. Modes that a bench does not
+    have decay at once.
     """
     waiting = max((waiting_torques(row) for row in matrix), default=0)
     rates = np.full((matrix.shape[0], TICKING + waiting), complex(_ABSENT))
     systems = contact_matrices(matrix)
     rates[:, : systems.shape[1]] = np.linalg.eigvals(systems)
     for row in np.flatnonzero(matrix[:, Slot.sampled_control__period_s] > 0.0):
-        # Real where all of them are, and some below zero.
+        # eigvals returns real values if all are real; some may be negative.
         factors = np.linalg.eigvals(sampled_period(matrix[row])[0]).astype(complex)
         factors = np.where(np.abs(factors) < _GONE, _GONE, factors)
         rates[row, : factors.size] = np.log(factors) / matrix[row, Slot.sampled_control__period_s]
@@ -186,16 +188,16 @@ def contact_rates(matrix: FloatArray) -> ComplexArray:
 def settling_time_s(
     matrix: FloatArray, accuracy_rpm: float | FloatArray, failures: str = "raise"
 ) -> FloatArray:
-    """Run-in after which a bench is in steady rotation to a tenth of the accuracy, shape (m,), s.
+    """Run-in until a bench is in steady rotation to a tenth of the accuracy, shape (m,), s.
 
-    A bench whose ringing hardly decays between two flips may rattle on without ever repeating (one
-    in a thousand of random benches did); no run-in changes that.
+    If the ringing hardly decays between two flank changes, a bench may rattle without ever
+    repeating (one in a thousand of random benches did). No run-in changes that.
 
     Raises
     ------
     BenchError
         If the speed loop is unstable on a tooth flank and ``failures`` is ``"raise"``; with
-        ``"nan"`` such a bench has no such time.
+        ``"nan"`` the run-in of such a bench is nan.
     """
     slowest = -np.max(contact_rates(matrix).real, axis=1)
     if failures == "nan":
@@ -220,10 +222,10 @@ def settling_time_s(
     )
     e_folds = np.log(np.maximum(start_error / (_SHARE_OF_ACCURACY * accuracy_rpm), math.e))
     settling = e_folds / slowest
-    # Ringing that lasts into the next flip is fed on by it and dies more slowly than on a flank.
+    # Ringing that lasts until the next flank change is excited by it and decays more slowly.
     settling *= np.where(settling > 0.25 * period, 3.0, 1.0)
     settling = np.minimum(settling, _MOST_ROTATIONS * period)
-    # The hysteresis element forgets with travel, not with time: e-fold for each θ_p of twist, and a
+    # The hysteresis element forgets with travel, not with time: an e-fold for each θ_p of twist. A
     # rotation winds the shaft from flank to flank and back.
     gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
     wound = matrix[:, Slot.gravity_torque_nm] / matrix[:, Slot.shaft_stiffness_nm_per_rad]
@@ -241,7 +243,7 @@ def settling_time_s(
 def noise_through_loop(
     parameters: FloatArray, noise_rpm: FloatArray, sampling_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Answer of the closed speed loop, on a tooth flank, to noise of its speed sensor.
+    """Response of the closed speed loop, on a tooth flank, to noise of its speed sensor.
 
     Parameters
     ----------
@@ -276,7 +278,7 @@ def noise_through_loop(
         state = transition[:size, :size] @ state + transition[:size, size] * value
     torque = states[:, kernel.DRIVE_TORQUE].copy()
     if parameters[Slot.current_loop_lag__time_s] == 0.0:
-        # Without lag the controller's proportional part answers in the sample itself.
+        # Without lag, the controller's proportional part responds within the sample.
         torque += -gain * (noise_rpm / RPM - np.concatenate(([0.0], noise_rpm[:-1] / RPM)))
     return states[:, kernel.SENSED_SPEED] * RPM, torque / parameters[Slot.torque_constant_nm_per_a]
 
@@ -284,7 +286,7 @@ def noise_through_loop(
 def _noise_through_ticks(
     parameters: FloatArray, noise_rpm: FloatArray, sampling_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """As :func:`noise_through_loop`, of a sampled controller as it logs itself."""
+    """Like :func:`noise_through_loop`, for a sampled controller as it logs itself."""
     period = parameters[Slot.sampled_control__period_s]
     delay = parameters[Slot.sampled_control__delay_periods]
     transition, by_noise = sampled_period(parameters)
@@ -297,21 +299,21 @@ def _noise_through_ticks(
     if parameters[Slot.current_loop_lag__time_s] > 0.0:
         torque[kernel.DRIVE_TORQUE] = 1.0
     else:
-        # As the drive logs it: the mean till the next tick (kernel.logged_torque).
+        # The logged torque is the mean until the next tick (kernel.logged_torque).
         torque[ACTING] = delay - waiting
         torque[-1 if waiting else COMING] = 1.0 - torque[ACTING]
-    shown = np.empty((source.size, 2))
-    for number, value in enumerate(noise_rpm[source] / RPM):
+    logged = np.empty((source.size, 2))
+    for k, value in enumerate(noise_rpm[source] / RPM):
         state = transition @ state + by_noise * value
-        shown[number] = state[SEEN], torque @ state
-    motion, answer = shown[last].T
-    return motion * RPM, answer / parameters[Slot.torque_constant_nm_per_a]
+        logged[k] = state[SEEN], torque @ state
+    motion, response = logged[last].T
+    return motion * RPM, response / parameters[Slot.torque_constant_nm_per_a]
 
 
 def ringing_hz(matrix: FloatArray) -> float:
     """Frequency of the slowest oscillation of the linear bench in contact, Hz; inf if it has none.
 
-    Of the first of the parameter vectors, shape (m, SLOTS).
+    Uses the first of the parameter vectors, shape (m, SLOTS).
     """
     rates = contact_rates(matrix[:1])[0].imag
     return float(np.min(rates[rates > 0.0], initial=math.inf)) / (2.0 * math.pi)

@@ -1,15 +1,14 @@
 """Curves from ringing amplitude A to backlash gap δ.
 
 Every curve has the same parts: a polynomial, a smooth correction to it, draws of its uncertainty by
-source, and the range over which it was made. Draws are shared by all snapshots of a joint: what is
-wrong with the curve is wrong in the same way for each of them, and largely cancels in the change
-of δ.
+source, and the range over which it was made. All snapshots of a joint share the draws. An error of
+the curve is thus the same for all of them, and largely cancels in the change of δ.
 
-A curve also tells which local optimum is the ringing, where the sum of squares may be wrong. Pulses
-close to the noise can fit almost as well, and sometimes better, exchanged and half a ringing
-off. A sweep knows which frequency and decay belong to each amplitude; as a prior on both this
-separates the optima. Within the chosen optimum A stays the least-squares amplitude that the curve
-means.
+A curve also tells which local optimum is the ringing if the sum of squares may be misleading. Close
+to the noise, pulses that are exchanged and shifted by half a ringing can fit almost as well, and
+sometimes better. A sweep knows which frequency and decay belong to each amplitude. Used as a prior
+on both, it separates the optima. Within the chosen optimum, A stays the least-squares amplitude
+that defines the curve.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ KNOTS = 80
 
 @dataclass(frozen=True, slots=True)
 class Ringing:
-    """What a sweep says about the ringing's frequency and decay at each amplitude.
+    """Frequency and decay of the ringing at each amplitude, from a sweep.
 
     Attributes
     ----------
@@ -41,7 +40,7 @@ class Ringing:
         ln ω (rad/s) and ln τ (1/s) at the curve's knots, shape (g,).
     frequency_draws, decay_draws
         Departures from these for each draw of the curve's ``bench`` source, shape (m, g); one row
-        of zeros where the bench is assumed exact.
+        of zeros if the bench is assumed exact.
     scatter
         Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (g, 3, 3).
     """
@@ -65,18 +64,18 @@ class GapCurve:
         c_0 … c_degree for A in rpm and δ in rad, shape (degree + 1,).
     knots_rpm
         Amplitudes at which the following are given, increasing, shape (g,). Their ends are the
-        range over which the curve was made; beyond it δ follows the power law of the nearest end.
+        range over which the curve was made. Beyond it, δ follows the power law of the nearest end.
     correction
         Smooth departure of ln δ from the polynomial's, shape (g,).
     sources
-        What is uncertain, by name (``rounding``, ``regression``, ``lack_of_fit``, ``bench``):
-        draws of the departure of ln δ from the curve with only that source at work, (m, g).
+        For each source of uncertainty (``rounding``, ``regression``, ``lack_of_fit``, ``bench``),
+        draws of the departure of ln δ from the curve due to that source alone, (m, g).
     start_angle_sd_rpm
         Scatter of A with the start angle, shape (g,), independent per snapshot; 0 if not known.
     fingerprint
-        Of the estimator whose A the curve means; ``None`` accepts any least-squares fit.
+        Fingerprint of the estimator that defines A; ``None`` accepts any least-squares fit.
     ringing
-        Frequency and decay along the curve, where a sweep has them.
+        Frequency and decay along the curve, if it comes from a sweep.
     warnings
         What every user of this curve must know.
     reference_speed_rpm
@@ -126,10 +125,10 @@ class GapCurve:
         inside = np.clip(amplitude_rpm, *self.amplitude_range_rpm)
         value = self._inside(inside)
         positive = amplitude_rpm > 0.0
-        beyond = positive & (inside != amplitude_rpm)
-        if np.any(beyond):
+        extrapolated = positive & (inside != amplitude_rpm)
+        if np.any(extrapolated):
             exponent = self._relative_slope(inside) * inside
-            ratio = np.where(beyond, amplitude_rpm, inside) / inside
+            ratio = np.where(extrapolated, amplitude_rpm, inside) / inside
             value = value * ratio**exponent
         return np.where(positive, value, 0.0)
 
@@ -149,19 +148,19 @@ class GapCurve:
     def draw(
         self, count: int, generator: np.random.Generator, sources: Collection[str] | None = None
     ) -> CurveDraws:
-        """``count`` curves that could be the true one, shared by all snapshots.
+        """Draw ``count`` curves that could be the true one, shared by all snapshots.
 
         Parameters
         ----------
         sources
-            Only these are drawn, the others held at nominal; all of them by default.
+            Sources to draw, the others held at nominal; all of them by default.
         """
-        picked = {}
+        drawn_rows = {}
         for name, draws in self.sources.items():
             rows = generator.integers(len(draws), size=count)
             if sources is None or name in sources:
-                picked[name] = rows
-        return CurveDraws(self, picked)
+                drawn_rows[name] = rows
+        return CurveDraws(self, drawn_rows)
 
     def start_angle_sd(self, amplitude_rpm: FloatArray) -> FloatArray:
         """Standard deviation of A over start angles at the given A, rpm, same shape."""
@@ -181,7 +180,7 @@ class GapCurve:
 
 @dataclass(frozen=True, slots=True)
 class CurveDraws:
-    """Draws of a curve: for each source, which of its draws; one amplitude goes with each."""
+    """Draws of a curve: for each source the row of its draws that each element uses."""
 
     curve: GapCurve
     rows: Mapping[str, NDArray[np.int64]]
@@ -195,7 +194,7 @@ class CurveDraws:
         return CurveDraws(self.curve, {name: rows[index] for name, rows in self.rows.items()})
 
     def gap(self, amplitude_rpm: FloatArray) -> FloatArray:
-        """δ in rad for A in rpm, both of shape (count,); sources add up in ln δ."""
+        """δ in rad for A in rpm, both of shape (count,); departures by source add up in ln δ."""
         departure = np.zeros(amplitude_rpm.size)
         for name, rows in self.rows.items():
             departure += interpolate_rows(
@@ -210,7 +209,8 @@ def interpolate_rows(
     rows: NDArray[np.int64],
     amplitude_rpm: FloatArray,
 ) -> FloatArray:
-    """Row ``rows[i]`` of a table (m, g) over the knots, at ``amplitude_rpm[i]``; held at the ends.
+    """Row ``rows[i]`` of a table (m, g) over the knots, at ``amplitude_rpm[i]``; constant beyond
+    them.
 
     Returns
     -------
@@ -234,8 +234,8 @@ PUBLISHED_SEED = 20260301
 def published_curve(draws: int = 4000) -> GapCurve:
     """Eq. 4 of the paper, with the rounding of its printed coefficients as uncertainty.
 
-    The printed coefficients do not quite give the gaps that the paper prints beside them; half a
-    unit of their last digit explains it.
+    The printed coefficients do not quite give the gaps that the paper prints beside them. Half a
+    unit of the last digit explains the difference.
     """
     centre = np.array(PUBLISHED_COEFFICIENTS)
     coefficients = PUBLISHED_SCALE_RAD * centre
@@ -278,28 +278,28 @@ LARGEST_DEFICIT = 15.0
 
 
 def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate) -> PointEstimate:
-    """The optimum, or the rival that is likelier with the curve's frequency and decay.
+    """The optimum, or a rival that is more probable given the curve's frequency and decay.
 
-    The evidence of each is its likelihood times the density of its (ln ω, ln τ) under the curve's
-    at its amplitude, spread by the fit's covariance, the start angle's scatter and the bench's.
-    A curve without ringing keeps the optimum as it is.
+    The evidence of each is its likelihood times the density of its (ln ω, ln τ), as predicted by
+    the curve at its amplitude. The covariance is that of fit, start angle and bench. A curve
+    without ringing keeps the optimum.
     """
     ringing = curve.ringing
     if ringing is None:
         return point
-    weighed = [(_log_prior(curve, ringing, point), point)]
+    candidates = [(_log_prior(curve, ringing, point), point)]
     for rival in point.optimum.rivals:
         excess = rival.sum_of_squares - point.optimum.sum_of_squares
         deficit = 0.5 * excess / point.spread.scale
         if deficit > LARGEST_DEFICIT:
             continue
-        other = estimator.at_rival(point, rival)
-        weighed.append((_log_prior(curve, ringing, other) - deficit, other))
-    evidence, best = max(weighed, key=lambda pair: pair[0])
+        rival_point = estimator.at_rival(point, rival)
+        candidates.append((_log_prior(curve, ringing, rival_point) - deficit, rival_point))
+    evidence, best = max(candidates, key=lambda pair: pair[0])
     contenders = tuple(
-        Contender(other.optimum.symbols[AMPLITUDE], other_evidence - evidence)
-        for other_evidence, other in weighed
-        if other is not best
+        Contender(rival_point.optimum.symbols[AMPLITUDE], other_evidence - evidence)
+        for other_evidence, rival_point in candidates
+        if rival_point is not best
     )
     if best is point:
         return replace(point, contenders=contenders)
@@ -312,7 +312,7 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
 
 
 def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float:
-    """ln of the density of the measured (ln ω, ln τ) under the curve's at the measured A."""
+    """ln density of the measured (ln ω, ln τ), as predicted by the curve at the measured A."""
     centre, covariance = point.ringing
     log_knots, x = np.log(curve.knots_rpm), float(np.log(centre[0]))
     nearest = int(np.argmin(np.abs(log_knots - x)))

@@ -1,23 +1,22 @@
-"""The amplitude that a measured recording would show, at every gap of a virtual bench, and the gap
-curve through it.
+"""Sweep a virtual bench over gaps, and fit the gap curve through the amplitudes.
 
 Each simulated recording goes through the estimator used for measured ones (model, window, baseline,
-sampling), so that curve and measurement mean the same A. The search is warm-started along the gap;
-it finds the same least-squares optimum.
+sampling), so that curve and measurement define A alike. The search is warm-started along the gap.
+It finds the same least-squares optimum.
 
 The bench is also swept at some draws of its parameters. At each gap, ln A, ln ω and ln τ are then
-described as smooth functions of the parameters (each draw regressed at its own gap: A on the
-parameters, never pooled points of δ on A), which gives as many further draws as inference needs.
-Its residuals are added back from the swept draws themselves.
+described as smooth functions of the parameters: A is regressed on the parameters at fixed gap;
+points of δ against A are never pooled. This gives as many further draws as inference needs.
+Residuals of the swept draws are added back.
 
 The regression of δ on A has relative weights throughout. The model of one sweep point is
 
     1 = Σ c_k A^k / δ + g(ln A) + scatter,
 
-c the coefficients with a flat prior, g a smooth lack of fit (Gaussian process with squared
-exponential covariance), scatter the start angle's. Coefficients and lack of fit are inferred
-together (universal kriging; Rasmussen and Williams 2006, section 2.7), the process' size and
-length by restricted maximum likelihood on a grid.
+with coefficients c under a flat prior, a smooth lack of fit g (Gaussian process with squared
+exponential covariance), and the scatter of the start angle. Coefficients and lack of fit are
+inferred together (universal kriging; Rasmussen and Williams 2006, section 2.7), the size and length
+of the process by restricted maximum likelihood on a grid.
 """
 
 from __future__ import annotations
@@ -41,16 +40,16 @@ from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, START, DisturbanceModel
 
 LEAST_LEAP = 0.2
-"""Of ln ω: neighbours scatter by some per cent with the start angle, and leaps are to another mode
-of the joint, 40 % away on the benches that had one."""
+"""Smallest jump of ln ω. Neighbours scatter by some per cent with the start angle; jumps lead to
+another mode of the joint, 40 % away on the benches that had one."""
 
 FEWEST_GAPS = 8
-"""What a polynomial of the highest degree takes."""
+"""Gaps that a polynomial of the highest degree needs."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepSettings:
-    """Over which gaps and start angles a bench is simulated, and how it is sampled.
+    """Gaps and start angles at which a bench is simulated, and its sampling.
 
     Attributes
     ----------
@@ -80,9 +79,8 @@ class SweepSettings:
     def start_angle_rad(self) -> FloatArray:
         """The start angles at each gap, shape (g, s), rad.
 
-        All different, spread by the golden ratio: equal parts of a rotation are often whole numbers
-        of samples, and then every recording would meet the window's end at the same point between
-        samples.
+        All differ, spread by the golden ratio. Equal parts of a rotation are often whole numbers of
+        samples; every recording would then meet the window's end at the same point between samples.
         """
         number = np.arange(self.count * self.start_angles)
         turns = (0.05 + number * (math.sqrt(5.0) - 1.0) / 2.0) % 1.0
@@ -91,7 +89,7 @@ class SweepSettings:
 
 @dataclass(frozen=True, slots=True)
 class SweepRow:
-    """One bench over all gaps and some start angles.
+    """One bench at all gaps and some start angles.
 
     Attributes
     ----------
@@ -113,10 +111,11 @@ class SweepRow:
     names: tuple[str, ...]
 
     def on_one_branch(self, fixed: Mapping[str, float]) -> SweepRow:
-        """From the gap on above which the optimum is one and the same ringing.
+        """Drop the gaps below which the optimum belongs to another ringing.
 
-        Below it another oscillation fits better, and A means another thing. Where it changes over,
-        ω leaps; along one branch it follows the gap far less than proportionally.
+        At small gaps another oscillation may fit better, and A has another meaning. Where the
+        optimum changes over, ω jumps. Along one branch ω changes far less than proportionally to
+        the gap.
 
         Raises
         ------
@@ -124,12 +123,12 @@ class SweepRow:
             If fewer than :data:`FEWEST_GAPS` are left.
         """
         steps = np.abs(np.diff(np.log(self.symbol(FREQUENCY, fixed)[:, 0])))
-        leaps = np.flatnonzero(steps > np.maximum(np.diff(np.log(self.gap_rad)), LEAST_LEAP))
-        kept = slice(int(leaps[-1]) + 1 if leaps.size else 0, None)
-        if leaps.size and self.gap_rad[kept].size < FEWEST_GAPS:
+        jumps = np.flatnonzero(steps > np.maximum(np.diff(np.log(self.gap_rad)), LEAST_LEAP))
+        kept = slice(int(jumps[-1]) + 1 if jumps.size else 0, None)
+        if jumps.size and self.gap_rad[kept].size < FEWEST_GAPS:
             raise CurveError(
                 "The best fit jumps from one ringing to another, and too few gaps are beyond.",
-                where=f"δ = {self.gap_rad[leaps[-1]]:.3g} to {self.gap_rad[leaps[-1] + 1]:.3g} rad",
+                where=f"δ = {self.gap_rad[jumps[-1]]:.3g} to {self.gap_rad[jumps[-1] + 1]:.3g} rad",
                 found=f"{self.gap_rad[kept].size} gaps",
                 expected=f"at least {FEWEST_GAPS}; larger gaps, or another bench",
             )
@@ -150,10 +149,10 @@ def sweep_nominal(
     generator: np.random.Generator,
     workers: int = 1,
 ) -> SweepRow:
-    """The nominal bench: a full search at the largest gap, then down the gaps of one branch.
+    """Sweep the nominal bench: a full search at the largest gap, then follow one branch downward.
 
-    At every gap the optimum is also sought where both pulses start half a ringing off and change
-    places, the other candidate for the least sum of squares.
+    At every gap the exchanged neighbours (both pulses shifted by half a ringing) are tried too,
+    because they are the other candidates for the least sum of squares.
 
     Raises
     ------
@@ -167,17 +166,17 @@ def sweep_nominal(
     searched = np.empty((*angles.shape, point.size))
     trend = np.zeros_like(point)
     for g in reversed(range(settings.count)):
-        first, last = objectives[g][0], point
+        first, previous = objectives[g][0], point
         if g < settings.count - 1:
             point = _turned(model, point, angles[g, 0] - angles[g + 1, 0], bench)
-            last = point
-        # The trend alone could lead on and on to where there is no ringing.
+            previous = point
+        # Following the trend alone could end where there is no ringing.
         starts = [point + trend, point, *exchanged(model, point + trend)]
         ends = np.array([refine(first, start) for start in starts])
         best = int(np.argmin(first.sum_of_squares(ends)))
         point = ends[best]
-        is_same = best < 2 and g < settings.count - 1
-        trend = point - last if is_same else np.zeros_like(point)
+        same_branch = best < 2 and g < settings.count - 1
+        trend = point - previous if same_branch else np.zeros_like(point)
         for s, angle in enumerate(angles[g]):
             start = _turned(model, point, angle - angles[g, 0], bench)
             searched[g, s] = point if s == 0 else refine(objectives[g][s], start)
@@ -191,18 +190,19 @@ def sweep_like(
     model: DisturbanceModel,
     settings: SweepSettings,
 ) -> SweepRow:
-    """A bench near the nominal one, first start angles only, warm-started from the nominal sweep.
+    """Sweep a bench near the nominal one, first start angles only, warm-started from the nominal
+    sweep.
 
-    Uses the nominal sweep's start angles, so that their scatter cancels in the difference.
+    It uses the nominal sweep's start angles, so that their scatter cancels in the difference.
     """
     angles = nominal.start_angle_rad[:, :1]
     objectives = _objectives(bench, model, settings, nominal.gap_rad, angles, 1)
     searched = np.empty_like(nominal.searched[:, :1])
     shift = np.zeros(nominal.searched.shape[2])
     for g in reversed(range(nominal.gap_rad.size)):
-        there = nominal.searched[g, 0]
-        point = refine(objectives[g][0], there + shift)
-        shift = point - there
+        nominal_point = nominal.searched[g, 0]
+        point = refine(objectives[g][0], nominal_point + shift)
+        shift = point - nominal_point
         searched[g, 0] = point
     return _row(model, nominal.gap_rad, angles, objectives, searched)
 
@@ -214,7 +214,7 @@ def _row(
     objectives: Sequence[Sequence[Objective]],
     searched: FloatArray,
 ) -> SweepRow:
-    """The row of optima (g, s, d)."""
+    """Make the row from optima (g, s, d)."""
     solutions = [
         objective.solve(point[None])
         for of_gap, points in zip(objectives, searched, strict=True)
@@ -258,14 +258,14 @@ def _objectives(
 def _turned(
     model: DisturbanceModel, point: FloatArray, angle_rad: float, bench: Bench
 ) -> FloatArray:
-    """The point as it looks when the recording starts ``angle_rad`` further on."""
+    """Shift a point to a recording that starts ``angle_rad`` later."""
     if START not in model.searched:
         return point
-    turned = point.copy()
+    shifted = point.copy()
     direction = math.copysign(1.0, bench.value("reference_speed_rpm"))
     period = bench.rotation_period_s()
-    turned[model.searched.index(START)] -= direction * angle_rad / (2.0 * math.pi) * period
-    return turned
+    shifted[model.searched.index(START)] -= direction * angle_rad / (2.0 * math.pi) * period
+    return shifted
 
 
 VIRTUAL_DRAWS = 3000
@@ -280,12 +280,12 @@ class SweptDraws:
     names
         The p parameters that have a tolerance.
     shifts
-        Each parameter's departure in units of its tolerance, in [−1, 1], shape (b, p); beyond that
-        where it was identified.
+        Departure of each parameter in units of its tolerance, shape (b, p); in [−1, 1] unless it
+        was identified.
     departures
         Departure of (ln A, ln ω, ln τ) from the nominal sweep at each gap, shape (b, g, 3).
     root
-        Of the covariance of the shifts where they are normal, shape (p, p); ``None``: uniform.
+        Root of the covariance of normal shifts, shape (p, p); ``None`` for uniform ones.
     """
 
     names: tuple[str, ...]
@@ -297,8 +297,8 @@ class SweptDraws:
 def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> FloatArray:
     """Departures (ln A, ln ω, ln τ) of :data:`VIRTUAL_DRAWS` benches drawn within the tolerances.
 
-    Linear in the parameters, with their squares where the swept draws are three times as many as
-    the terms; the swept draws alone, with repetition, if they are too few for either.
+    The model is linear in the parameters, with squares if there are three swept draws per term.
+    With too few swept draws for either, these are repeated.
 
     Returns
     -------
@@ -318,10 +318,10 @@ def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> Flo
         virtual = generator.uniform(-1.0, 1.0, size=(count, parameters))
     else:
         virtual = generator.standard_normal((count, parameters)) @ swept.root.T
-    described = (
+    predicted = (
         _terms(virtual, squares) @ solution + residual[generator.integers(draws, size=count)]
     )
-    return np.asarray(described.reshape(count, *swept.departures.shape[1:]))
+    return np.asarray(predicted.reshape(count, *swept.departures.shape[1:]))
 
 
 def _terms(shifts: FloatArray, squares: bool) -> FloatArray:
@@ -356,7 +356,7 @@ def swept_curve(
     seed: np.random.SeedSequence,
     draws: SweptDraws | None = None,
 ) -> tuple[GapCurve, Regression]:
-    """Regress δ on A over a nominal sweep, with the bench's own uncertainty beside it.
+    """Regress δ on A over a nominal sweep, with the uncertainty of the bench as a source.
 
     Raises
     ------
@@ -394,7 +394,7 @@ def swept_curve(
 
 
 def degree_reports(nominal: SweepRow) -> dict[int, DegreeSummary]:
-    """Polynomials of several degrees, so that a cubic is a result and no assumption."""
+    """Fit polynomials of several degrees, so that a cubic is a result, not an assumption."""
     mean = nominal.amplitude_rpm.mean(axis=1)
     reports: dict[int, DegreeSummary] = {}
     for degree in DEGREES:
@@ -413,7 +413,7 @@ def degree_reports(nominal: SweepRow) -> dict[int, DegreeSummary]:
 def start_angle_scatter(values: FloatArray) -> FloatArray:
     """Standard deviation over start angles at each gap, (g, s) to (g,), 0 for a single angle.
 
-    Variances are averaged over five neighbouring gaps: a few start angles alone estimate a
+    Variances are averaged over five neighbouring gaps, because a few start angles alone estimate a
     standard deviation poorly.
     """
     if values.shape[1] < 2:
@@ -423,7 +423,7 @@ def start_angle_scatter(values: FloatArray) -> FloatArray:
 
 
 def _regression(nominal: SweepRow, degree: int) -> Regression:
-    """Of the gaps on all amplitudes, at knots that reach over them."""
+    """Regress the gaps on all amplitudes, with knots over their range."""
     mean = nominal.amplitude_rpm.mean(axis=1)
     sd_rpm = start_angle_scatter(nominal.amplitude_rpm)
     slope = np.gradient(np.log(nominal.gap_rad), mean)
@@ -472,23 +472,23 @@ def departures(row: SweepRow, nominal: SweepRow, model: DisturbanceModel) -> Flo
 def _bench_source(
     nominal: SweepRow, values: FloatArray, departures: FloatArray, knots_rpm: FloatArray
 ) -> tuple[FloatArray, Ringing]:
-    """Departures at given gaps turned into departures at given amplitudes."""
+    """Convert departures at given gaps to departures at given amplitudes."""
     centre = values.mean(axis=1)
     log_gap, at_knots = np.log(nominal.gap_rad)[:, None], np.log(knots_rpm)
     at_nominal = _interpolate(at_knots, centre[:, 0], np.hstack([log_gap, centre[:, 1:]]))
     _, frequency, decay = at_nominal.T
-    gap, by_frequency, by_decay = away = np.empty((3, len(departures), knots_rpm.size))
+    gap, by_frequency, by_decay = by_gap = np.empty((3, len(departures), knots_rpm.size))
     for i, departure in enumerate(departures):
-        moved = centre + departure
-        order = np.maximum.accumulate(moved[:, 0] + 1e-9 * np.arange(len(moved)))
-        interpolated = _interpolate(at_knots, order, np.hstack([log_gap, moved[:, 1:]]))
-        away[:, i] = (interpolated - at_nominal).T
+        drawn = centre + departure
+        order = np.maximum.accumulate(drawn[:, 0] + 1e-9 * np.arange(len(drawn)))
+        interpolated = _interpolate(at_knots, order, np.hstack([log_gap, drawn[:, 1:]]))
+        by_gap[:, i] = (interpolated - at_nominal).T
     scatter = _scatter(nominal, values, knots_rpm)
     return gap, Ringing(frequency, decay, by_frequency, by_decay, scatter)
 
 
 def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
-    """Linear, of columns (n, k) at (m,), continued with the slope over the outer tenth."""
+    """Interpolate columns (n, k) linearly at (m,); extrapolate by the slope of the outer tenth."""
     above = np.clip(np.searchsorted(known, x), 1, known.size - 1)
     outer = max(1, known.size // 10)
     first = np.where(x < known[0], 0, np.where(x > known[-1], known.size - 1 - outer, above - 1))
@@ -499,10 +499,8 @@ def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatA
 
 
 def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> FloatArray:
-    """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3).
-
-    Correlations are pooled over all gaps, standard deviations over neighbouring ones.
-    """
+    """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3). Correlations
+    are pooled over all gaps, standard deviations over neighbouring ones."""
     columns = np.stack([nominal.amplitude_rpm, values[:, :, 1], values[:, :, 2]], axis=-1)
     sds = np.stack([start_angle_scatter(columns[:, :, k]) for k in range(3)], axis=-1)
     mean = nominal.amplitude_rpm.mean(axis=1)
@@ -517,9 +515,9 @@ def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> Fl
 
 
 SIZES = np.geomspace(1e-5, 6e-3, 12)
-"""Relative; a lack of fit beyond half a percent calls for another degree, not for a correction."""
+"""Relative sizes; a lack of fit above 0.5 % calls for another degree, not a correction."""
 LENGTHS = np.geomspace(0.15, 0.7, 5)
-"""In ln A; longer ones would only compete with the polynomial."""
+"""Lengths in ln A; longer ones would only compete with the polynomial."""
 SMALLEST_SCATTER = 1e-5
 
 
@@ -558,17 +556,19 @@ class Regression:
         return np.asarray(np.log(value) - np.log1p(-self.lack_of_fit))
 
     def draws(self, count: int, generator: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Departures of ln δ at the knots: by the coefficients, by the lack of fit, (count, g).
+        """Departures of ln δ at the knots, due to the coefficients and to the lack of fit, (count,
+        g).
 
-        The lack of fit moves with the coefficients, as far as the sweep points demand it.
+        The first includes the change of the lack of fit with the coefficients, as the sweep points
+        demand.
         """
         k = self.coefficients.size
         shifts = generator.standard_normal((count, k)) @ self._coefficient_root.T
         powers = self.knots_rpm ** np.arange(k)[:, None]
         nominal = self.coefficients @ powers
-        moved = self.lack_of_fit + shifts @ self._sensitivity.T
+        shifted = self.lack_of_fit + shifts @ self._sensitivity.T
         by_coefficients = np.log1p(shifts @ powers / nominal) - np.log(
-            (1.0 - moved) / (1.0 - self.lack_of_fit)
+            (1.0 - shifted) / (1.0 - self.lack_of_fit)
         )
         noise = generator.standard_normal((count, self.knots_rpm.size)) @ self._remaining_root.T
         by_lack_of_fit = -np.log1p(-noise / (1.0 - self.lack_of_fit))
@@ -620,20 +620,22 @@ def regress(
     weighted = cho_solve(total, columns)
     covariance = np.linalg.inv(columns.T @ weighted)
     scaled = covariance @ (weighted.T @ ones)
-    across = _kernel(np.log(knots_rpm), logs, size, length)
-    pull = cho_solve(total, across.T).T
-    remaining = _kernel(np.log(knots_rpm), np.log(knots_rpm), size, length) - pull @ across.T
-    back = 1.0 / (norms * scale ** np.arange(degree + 1))
-    coefficients = back * scaled
+    cross_covariance = _kernel(np.log(knots_rpm), logs, size, length)
+    kriging = cho_solve(total, cross_covariance.T).T
+    remaining = (
+        _kernel(np.log(knots_rpm), np.log(knots_rpm), size, length) - kriging @ cross_covariance.T
+    )
+    rescale = 1.0 / (norms * scale ** np.arange(degree + 1))
+    coefficients = rescale * scaled
     return Regression(
         coefficients=coefficients,
         knots_rpm=knots_rpm,
-        lack_of_fit=pull @ (ones - columns @ scaled),
+        lack_of_fit=kriging @ (ones - columns @ scaled),
         lack_of_fit_size=float(size),
         lack_of_fit_length=float(length),
         log_evidence=float(evidence),
-        _coefficient_root=back[:, None] * np.linalg.cholesky(covariance),
-        _sensitivity=-(pull @ columns) / back,
+        _coefficient_root=rescale[:, None] * np.linalg.cholesky(covariance),
+        _sensitivity=-(kriging @ columns) / rescale,
         _remaining_root=_root(remaining),
     )
 

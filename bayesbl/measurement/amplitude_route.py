@@ -1,7 +1,7 @@
-"""From the amplitude of the ringing, through a gap curve, to the gap: the paper's route.
+"""The paper's route: the amplitude of the ringing, converted to the gap by a gap curve.
 
-CMA-ES finds the RMSE optimum of the disturbance model, emcee samples the posterior around it under
-the recording's noise, and the draws of A go through the curve to δ.
+CMA-ES finds the RMSE optimum of the disturbance model. emcee samples the posterior around it under
+the noise of the recording. The gap curve converts the draws of A to draws of δ.
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ from bayesbl.ringing.waveform import jacobian_columns, model_speed
 NAME = "amplitude"
 
 BAND_DRAWS = 100
-"""Behind the predictive band."""
+"""Posterior draws behind the predictive band."""
 
 BENCHES = 12
-"""Drawn within the tolerances, that a recording is held against."""
+"""Benches drawn within the tolerances that a recording is compared with."""
 
 FALSE_ALARM = 0.01
-"""Of a recording that is said to be of another bench, over its features."""
+"""Probability of calling the right bench another one, over all features of a recording."""
 
 MOVES_RINGING = {
     PROPORTIONAL,
@@ -77,12 +77,12 @@ MOVES_RINGING = {
     harmonic_name("current", 1),
     harmonic_name("speed", 1),
 }
-"""Features that show gains and gravity, with which the ringing goes by the power one at most;
-friction hardly moves it."""
+"""Features that show controller gains and gravity. The ringing amplitude goes with at most the
+first power of these; friction hardly changes it."""
 
 
 def _symbol(*dims: str) -> Callable[[str], Variable | None]:
-    """Declares each symbol of the disturbance model over these dimensions."""
+    """Return a function that declares each symbol of the disturbance model over ``dims``."""
 
     def declared(name: str) -> Variable | None:
         if name not in SYMBOLS:
@@ -198,10 +198,10 @@ MISFIT = Group(
 
 
 class AmplitudeMeasurer(CurveMeasurer):
-    """The amplitude route with its estimator and where its gap curves come from."""
+    """The amplitude route, with its estimator and the source of its gap curves."""
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
-        """The curve, and what else a run needs: an earlier optimum, the second sampler."""
+        """Yield estimator and curve, and the earlier optimum and second sampler if configured."""
         estimator = self.estimator
         yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
         yield "curve", self.describe_curve
@@ -212,7 +212,7 @@ class AmplitudeMeasurer(CurveMeasurer):
             yield "second sampler", _second_sampler
 
     def require_usable(self, recording: Recording) -> None:
-        """A curve means the same amplitude as a fit of this recording, or can be swept to."""
+        """Require a constant speed and a curve that fits this recording or can be swept for it."""
         if moves(recording):
             raise RecordingError(
                 "This joint does not turn at one speed, and no gap curve belongs to the ringing of "
@@ -229,18 +229,18 @@ class AmplitudeMeasurer(CurveMeasurer):
         super().require_usable(recording)
 
     def measure(self, task: Task) -> Measurement:
-        """Fit every recording and read its gap from its curve, if there is one."""
+        """Fit every recording and convert its amplitude to a gap, if there is a curve."""
         curves = self.curves(task)
-        of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
-        fits = run_fits(self._jobs(task, of_each), task.config.run.workers, task.progress)
+        curve_or_none: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
+        fits = run_fits(self._jobs(task, curve_or_none), task.config.run.workers, task.progress)
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
-        by_curve: Sequence[Gap | None] = [None] * len(fits)
+        gap_or_none: Sequence[Gap | None] = [None] * len(fits)
         stored = {}
-        if curves is not None:  # all through the same draws of the curve
+        if curves is not None:  # all snapshots go through the same draws of the curve
             level = task.config.interval.level
-            by_curve = read = gaps(
+            gap_or_none = read_gaps = gaps(
                 curves,
                 [measured_ringing(fit) for fit in fits],
                 task.seeds.gap,
@@ -248,9 +248,9 @@ class AmplitudeMeasurer(CurveMeasurer):
                 allow_extrapolation=task.config.curve.allow_extrapolation,
                 level=level,
             )
-            rows = [gap.rows for gap in read]
-            of_curve = curves_group(task.names, curves, rows, level, task.seeds.curve)
-            stored[CURVE.name] = of_curve
+            rows = [gap.rows for gap in read_gaps]
+            curve_dataset = curves_group(task.names, curves, rows, level, task.seeds.curve)
+            stored[CURVE.name] = curve_dataset
         entries = task.config.recordings
         check = same_joint(
             [fit.point for fit in fits],
@@ -258,14 +258,14 @@ class AmplitudeMeasurer(CurveMeasurer):
             [tuple(sorted(entry.bench.items())) for entry in entries],
         )
         seeds = task.seeds.predictive.spawn(len(fits))
-        parts = zip(task.recordings, fits, by_curve, of_each, seeds, strict=True)
+        parts = zip(task.recordings, fits, gap_or_none, curve_or_none, seeds, strict=True)
         return Measurement(
             NAME,
             [self._answer(*part, task) for part in parts],
             shared=stored,
             curve=curves[0].name if curves else "",
             warnings=curves[0].warnings if curves else (),
-            ringing_change=_ringing_change(fits, by_curve, curves),
+            ringing_change=_ringing_change(fits, gap_or_none, curves),
             same_joint=check,
             change_reason=None if curves is None else change_reason(check),
         )
@@ -299,11 +299,9 @@ class AmplitudeMeasurer(CurveMeasurer):
     def _against_bench(
         self, recording: Recording, fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float
     ) -> tuple[JointCheck, list[Reason]]:
-        """The recording beside the curve's bench, and why δ is withheld where it is of another.
-
-        What differs withholds δ where it may move it, by as much itself at most, further than its
-        interval reaches.
-        """
+        """Compare the recording with the curve's bench, and say why δ is withheld if they differ. A
+        feature that differs moves δ by at most its own relative difference. It withholds δ if that
+        difference is larger than half the width of the interval of ln δ."""
         if curve is None or gap is None:
             return joint_check(), []
         check = ringing_check(curve, measured_ringing(fit), gap)
@@ -311,8 +309,8 @@ class AmplitudeMeasurer(CurveMeasurer):
         if bench is None or np.any(gap.delta_rad <= 0.0):
             return check, []
         draws = gap.delta_rad.ravel()
-        picked = draws[np.linspace(0, draws.size - 1, BENCHES).round().astype(int)]
-        items = beside_bench(fit.point, bench, picked, np.random.default_rng(BENCHES))
+        delta_sample = draws[np.linspace(0, draws.size - 1, BENCHES).round().astype(int)]
+        items = beside_bench(fit.point, bench, delta_sample, np.random.default_rng(BENCHES))
         low, high = np.log(np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
         bound = normal_isf(0.5 * FALSE_ALARM / max(len(items), 1))
         differing = [
@@ -361,7 +359,7 @@ def _second_sampler() -> str:
 def _ringing_change(
     fits: Sequence[Fit], gaps_by_curve: Sequence[Gap | None], curves: Sequence[GapCurve] | None
 ) -> FloatArray | None:
-    """Draws of last over first, less one, where all were fitted at one speed and rate."""
+    """Draws of last amplitude / first amplitude − 1, if all recordings share one speed and rate."""
     if len(fits) < 2 or len({id(curve) for curve in curves or ()}) > 1:
         return None
     first, last = (
@@ -371,10 +369,10 @@ def _ringing_change(
     return np.asarray(last / first - 1.0)
 
 
-def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, Any]:
-    """The contract's keys, and beside them the misfit, the start and the second sampler."""
+def _numbers(fit: Fit, posterior: xr.Dataset, section: IntervalConfig) -> dict[str, Any]:
+    """The snapshot's keys of the summary, with the misfit, the start and the second sampler."""
     point, optimum = fit.point, fit.point.optimum
-    parameters = shared.intervals(posterior, (s for s in SYMBOLS if s in posterior), of)
+    parameters = shared.intervals(posterior, (s for s in SYMBOLS if s in posterior), section)
     numbers: dict[str, Any] = {
         "amplitude_rpm": parameters[AMPLITUDE],
         "parameters": parameters,
@@ -383,7 +381,7 @@ def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, A
         "relative_rmse": optimum.relative_rmse,
         "noise": _noise_summary(point.noise),
         "misfit_rms_rpm": point.misfit.rms_rpm,
-        "impact_sd_rpm": interval(point.spread.impact_sd_rpm, of.level, of.kind),
+        "impact_sd_rpm": interval(point.spread.impact_sd_rpm, section.level, section.kind),
     }
     if point.start:
         numbers["start"] = point.start
@@ -427,16 +425,16 @@ def reasons_of(
     unsuited: Sequence[Reason] = (),
     question: Reason | None = None,
 ) -> list[Reason]:
-    """All that is to be known of one snapshot's answer, the gravest first.
+    """List the reasons and notes of one snapshot's answer, the gravest first.
 
     Parameters
     ----------
     gap
-        ``None`` without a curve: then the ringing's amplitude is what is answered.
+        ``None`` without a curve: the answer is then the amplitude of the ringing.
     unsuited
-        Reasons beside the fit's and the gap's own.
+        Reasons other than those of the fit and of the gap.
     question
-        What to ask the user before anything else where δ is withheld.
+        What to ask the user before anything else if δ is withheld.
     """
     sampling = sampling_reasons(fit.posterior.diagnostics)
     notes = [Reason.of_text("mended", text) for text in fit.point.notes]
@@ -444,7 +442,7 @@ def reasons_of(
     against = [*unsuited, *(() if gap is None else gap.reasons)]
     if fit.check is not None and fit.check.reason:
         against.append(Reason.of_text("second_sampler", fit.check.reason))
-    # What is made of draws that fail, fails with them: the cause comes first.
+    # If the draws fail, all that is computed from them fails too: the cause comes first.
     failed = fit.posterior.diagnostics.failures
     reasons = [*sampling, *against] if failed else [*against, *sampling]
     reasons += [*notes, *(Reason.of_text("recording", n) for n in fit.point.recording.notes)]
@@ -454,7 +452,7 @@ def reasons_of(
 
 
 def prepare(config: SnapshotConfig) -> AmplitudeMeasurer:
-    """With the bench, if one is configured and no curve is named."""
+    """Create the measurer, with the bench if one is configured and no curve is named."""
     file = config.estimator.bench
     swept = file is not None and config.curve.source is None
     return AmplitudeMeasurer(config, bench_of(config) if swept else None)
@@ -505,7 +503,7 @@ def amplitude_groups(
 
 
 def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
-    """Which of the posterior's draws is stored at each place, shape (chain, draw)."""
+    """Index of the posterior draw that is stored at each place, shape (chain, draw)."""
     if gap is not None:
         return gap.index
     shape = fit.posterior.log_likelihood.shape
@@ -519,10 +517,11 @@ def _baseline_terms(fit: Fit) -> list[str]:
 def _noise_only(
     fit: Fit, curve: GapCurve | None, generator: np.random.Generator
 ) -> dict[Group, object]:
-    """Waveform and noise alone as a model: prior, posterior, and what both predict.
+    """Prior, posterior and predictions of the model with waveform and noise alone.
 
-    Flat in every searched symbol within its range, and in ln δ through the curve; flat in A
-    without one. The mean speed's is flat without bounds: it is drawn over what was recorded.
+    The prior is flat in every searched symbol within its range. With a curve it is flat in ln δ,
+    without one in A. The prior of the mean speed is flat without bounds; its prior draws cover the
+    recorded range.
     """
     point, objective = fit.point, fit.point.objective
     chains = fit.posterior.baseline_rpm.shape[0]
@@ -540,29 +539,31 @@ def _noise_only(
         knots = curve.knots_rpm
         prior[AMPLITUDE] = np.exp(np.interp(log_gap, np.log(curve.gap(knots)), np.log(knots)))
 
-    def of_amplitude(rpm: FloatArray) -> FloatArray:
+    def log_prior_of_amplitude(rpm: FloatArray) -> FloatArray:
         if curve is None:
             return np.where((rpm > 0.0) & (rpm < highest), -math.log(highest), -np.inf)
         slope = np.where(rpm > 0.0, curve.log_slope(np.abs(rpm)), 0.0)
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.maximum(slope, 0.0) / (high - low)))
 
-    few = {name: values[: chains * shared.REPLICATES] for name, values in prior.items()}
-    flat = np.zeros((chains * shared.REPLICATES, fit.posterior.baseline_rpm.shape[-1]))
-    speeds = {MOTOR_SPEED: predicted(point, few, flat, generator)}
-    shown = prior if curve is None else {**prior, shared.DELTA.name: np.exp(log_gap)}
+    replicated = {name: values[: chains * shared.REPLICATES] for name, values in prior.items()}
+    zero_baseline = np.zeros((chains * shared.REPLICATES, fit.posterior.baseline_rpm.shape[-1]))
+    speeds = {MOTOR_SPEED: predicted(point, replicated, zero_baseline, generator)}
+    stored_prior = prior if curve is None else {**prior, shared.DELTA.name: np.exp(log_gap)}
     groups: dict[Group, object] = {
-        OF_NOISE["prior"]: {n: v[None] for n, v in shown.items()},
+        OF_NOISE["prior"]: {n: v[None] for n, v in stored_prior.items()},
         shared.PRIOR_PREDICTIVE: shared.replicates(chains, speeds),
     }
     named_draws = likelihood_draws(
-        point, of_amplitude, shared.NOISE_DRAWS // chains * chains, generator
+        point, log_prior_of_amplitude, shared.NOISE_DRAWS // chains * chains, generator
     )
     if named_draws is None:
         return groups
     flat_draws, baseline = named_draws
-    few = {name: values[: chains * shared.REPLICATES] for name, values in flat_draws.items()}
-    speeds = {MOTOR_SPEED: predicted(point, few, baseline[: chains * shared.REPLICATES], generator)}
+    replicated = {name: values[: chains * shared.REPLICATES] for name, values in flat_draws.items()}
+    speeds = {
+        MOTOR_SPEED: predicted(point, replicated, baseline[: chains * shared.REPLICATES], generator)
+    }
     draws = {name: values.reshape(chains, -1) for name, values in flat_draws.items()}
     shape = draws[AMPLITUDE].shape
     baseline = baseline.reshape(*shape, -1)
@@ -571,16 +572,15 @@ def _noise_only(
     return groups | {
         OF_NOISE["noise_posterior"]: {**draws, **terms},
         shared.LOG_LIKELIHOOD: {"recording": log_likelihood(point, draws, baseline)},
-        OF_NOISE["log_prior"]: {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])},
+        OF_NOISE["log_prior"]: {**density, AMPLITUDE: log_prior_of_amplitude(draws[AMPLITUDE])},
         shared.POSTERIOR_PREDICTIVE: shared.replicates(chains, speeds),
     }
 
 
 def _predictive(fit: Fit, level: float) -> dict[str, FloatArray]:
-    """Optimum, and the band in which a new recording of the same joint would lie.
-
-    What repeats every rotation and the model lacks repeats there too: the band is around both.
-    """
+    """The optimum, and the band in which a new recording of the same joint would lie. The misfit
+    that repeats every rotation would repeat in a new recording too. The band is therefore centred
+    on optimum plus misfit."""
 
     point = fit.point
     time_s = point.objective.time_s
@@ -598,21 +598,21 @@ def _predictive(fit: Fit, level: float) -> dict[str, FloatArray]:
 
 
 def _prediction_variance(fit: Fit) -> FloatArray:
-    """Variance of h(t) over the posterior, shape (n,), rpm²."""
+    """Posterior variance of the model speed h(t), shape (n,), rpm²."""
     point = fit.point
     objective, posterior = point.objective, fit.posterior
     flat = {name: values.ravel() for name, values in posterior.draws.items()}
     chains, draws, terms = posterior.baseline_rpm.shape
     baseline = posterior.baseline_rpm.reshape(chains * draws, terms)  # no -1: it may have no terms
-    picked = np.linspace(0, len(baseline) - 1, BAND_DRAWS).round().astype(int)
+    draw_index = np.linspace(0, len(baseline) - 1, BAND_DRAWS).round().astype(int)
     total, square = np.zeros(objective.samples), np.zeros(objective.samples)
     centre = point.optimum.predict(objective.time_s)
-    for i in picked:
+    for i in draw_index:
         symbols = {**point.optimum.symbols, **{n: float(v[i]) for n, v in flat.items()}}
         difference = model_speed(objective.time_s, symbols, baseline[i]) - centre
         total += difference
         square += difference**2
-    return np.asarray(square / picked.size - (total / picked.size) ** 2)
+    return np.asarray(square / draw_index.size - (total / draw_index.size) ** 2)
 
 
 def _optimum(fit: Fit) -> dict[str, object]:
@@ -636,7 +636,7 @@ def _optimum(fit: Fit) -> dict[str, object]:
 
 
 def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
-    """Optima of a fit or a comparison by the names of their recordings, in order.
+    """Optima of a fit or a comparison, by name of the recording, in order.
 
     Raises
     ------
@@ -665,12 +665,12 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
 # The fits of all recordings.
 
 FEWEST_PER_PROCESS = 2
-"""Fits for which a process is started: it takes as long to start as one fit takes."""
+"""Fits per process: a process takes as long to start as one fit takes to run."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitJob:
-    """All that one fit needs; it can be sent to another process."""
+    """All inputs of one fit; can be sent to another process."""
 
     estimator: Estimator
     curve: GapCurve | None
@@ -682,7 +682,7 @@ class FitJob:
     work: WorkStore = field(default=NOTHING_KEPT, compare=False)
 
     def run(self, progress: StageProgress | None = None) -> Fit:
-        """Fit the recording, or recall the fit that an unfinished run had finished."""
+        """Fit the recording, or recall the fit from the store of an unfinished run."""
         step = of_stage(progress, f"Sampling {self.recording.name}")
         kept = self.work.get("fit", self, lambda: self._made(step), Fit)
         return kept.of(self.recording, self.gear_ratio)
@@ -702,10 +702,10 @@ class FitJob:
 
 
 def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | None) -> list[Fit]:
-    """Fits in the order of their jobs, the same for any number of workers.
+    """Run all fits and return them in the order of their jobs, whatever the number of workers.
 
-    A fit takes a second or two, so that few recordings are done before processes have started; a
-    check by a second sampler takes longer, and is worth a process of its own.
+    A fit takes a second or two, so a few recordings are fitted before processes would have started.
+    A check by the second sampler takes longer and gets a process of its own.
     """
     per_process = 1 if any(job.check for job in jobs) else FEWEST_PER_PROCESS
     count = min(workers, len(jobs) // per_process)
@@ -722,21 +722,21 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
 
 
 def measured_ringing(fit: Fit) -> MeasuredRinging:
-    """What a fit says of the ringing."""
+    """Amplitude, frequency and decay of the ringing, as a fit measured them."""
     return MeasuredRinging(fit.posterior.draws[AMPLITUDE], *fit.point.ringing)
 
 
-# The ringing beside that of the bench.
+# The ringing, compared with that of the bench.
 
 _UNITS = {FREQUENCY: ("Hz", 2.0 * math.pi), DECAY: ("1/s", 1.0)}
-"""With what of it one is, in rad/s and 1/s."""
+"""Unit of each quantity, and what one unit is in rad/s or 1/s."""
 
 
 def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> JointCheck:
-    """Frequency and decay at the measured amplitude; a curve without them compares nothing.
+    """Compare frequency and decay with the curve's at the measured amplitude.
 
-    The standard deviation is of the logarithms at that amplitude: of fit, start angle and the
-    bench's tolerances.
+    A curve without ringing data compares nothing. The standard deviation is that of the logarithms
+    at the measured amplitude. It covers the fit, the start angle and the bench's tolerances.
     """
     ringing = curve.ringing
     if ringing is None:
@@ -744,28 +744,28 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
     amplitude = measured.centre[0]
     nearest = int(np.argmin(np.abs(curve.knots_rpm - amplitude)))
     covariance = measured.covariance + ringing.scatter[nearest]
-    given_amplitude = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
+    conditional = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
     items = []
-    for place, (quantity, expected, draws) in enumerate(
+    for index, (quantity, expected, draws) in enumerate(
         (
             (FREQUENCY, ringing.log_frequency, ringing.frequency_draws),
             (DECAY, ringing.log_decay, ringing.decay_draws),
         ),
         start=1,
     ):
-        if measured.covariance[place, place] == 0.0:
-            continue  # a fixed one is no measurement
-        unit, one = _UNITS[quantity]
-        by_curve = float(np.interp(amplitude, curve.knots_rpm, expected))
-        sd = math.sqrt(given_amplitude[place, place] + float(np.var(draws[:, nearest])))
-        log_ratio = float(measured.centre[place])
+        if measured.covariance[index, index] == 0.0:
+            continue  # a fixed symbol was not measured
+        unit, unit_size = _UNITS[quantity]
+        log_expected = float(np.interp(amplitude, curve.knots_rpm, expected))
+        sd = math.sqrt(conditional[index, index] + float(np.var(draws[:, nearest])))
+        log_ratio = float(measured.centre[index])
         items.append(
             check_item(
                 quantity,
-                math.exp(log_ratio) / one,
-                math.exp(by_curve) / one,
+                math.exp(log_ratio) / unit_size,
+                math.exp(log_expected) / unit_size,
                 unit,
-                (log_ratio - by_curve) / sd,
+                (log_ratio - log_expected) / sd,
             )
         )
     agrees = all(reason.code != CONTRADICTED for reason in gap.reasons)
@@ -776,15 +776,13 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
 # The paper's own search and model.
 
 WAVE_MATTERS = 0.5
-"""Standard deviations of A by which a load-angle harmonic may move it.
-
-An estimate that is off by half of its standard deviation is still held by 86 % of intervals of
-90 %; by a whole one, 74 %.
-"""
+"""Largest shift of A by a load-angle harmonic, in standard deviations of A. An interval of 90 %
+still covers in 86 % of cases if the estimate is biased by half its standard deviation, and in 74 %
+if it is biased by a whole one."""
 
 
 def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
-    """Why the answer of the paper's search, or by the paper's model, is withheld."""
+    """Yield why an answer by the paper's search or by the paper's model is withheld."""
     point = fit.point
     box = point.optimum.box_search
     if box is not None and not has_pulses_of_optimum(box, point):
@@ -796,35 +794,35 @@ def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
             "optimum_rmse_rpm": point.optimum.rmse_rpm,
         }
         yield Reason("box_search_missed", values)
-    without = point.optimum.model.baseline_harmonics == 0
-    if without and curve is not None and curve.fingerprint is None:
-        alone, beside = point.optimum.symbols[AMPLITUDE], amplitude_with_baseline_rpm(point)
-        if abs(beside - alone) > WAVE_MATTERS * math.sqrt(fit.point.spread.sandwich[0, 0]):
-            values = {"amplitude_rpm": alone, "with_baseline_rpm": beside}
+    no_baseline = point.optimum.model.baseline_harmonics == 0
+    if no_baseline and curve is not None and curve.fingerprint is None:
+        without, with_one = point.optimum.symbols[AMPLITUDE], amplitude_with_baseline_rpm(point)
+        if abs(with_one - without) > WAVE_MATTERS * math.sqrt(fit.point.spread.sandwich[0, 0]):
+            values = {"amplitude_rpm": without, "with_baseline_rpm": with_one}
             yield Reason("no_baseline", values)
 
 
 def has_pulses_of_optimum(box: BoxSearch, point: PointEstimate) -> bool:
-    """Whether a search in Table 2's ranges found the pulses of the optimum."""
+    """Whether the search within Table 2's ranges found the same pulses as the optimum."""
     return same_pulses(box.symbols, point.optimum.symbols, point.objective.duration_s)
 
 
 def gap_as_printed_rad(box: BoxSearch) -> float:
-    """Eq. 4 at the amplitude found, whatever its sign and however far beyond the curve's range."""
+    """δ by eq. 4 at |A| of the box search, extrapolated if |A| is outside the curve's range."""
     return float(published_curve(draws=1).gap(np.array(abs(box.symbols[AMPLITUDE]))))
 
 
 def amplitude_with_baseline_rpm(point: PointEstimate) -> float:
-    """A at the optimum next to this one where one load-angle harmonic is fitted beside the pulses.
+    """A of the neighbouring optimum after adding one load-angle harmonic to the model.
 
-    A symbol's range holds there too.
+    The ranges of the symbols hold for this refinement too.
     """
-    own = point.objective
+    fitted = point.objective
     objective = Objective(
-        replace(own.model, baseline_harmonics=1),
-        own.time_s,
-        own.speed_rpm,
-        excluded=None if own.used.all() else ~own.used,
+        replace(fitted.model, baseline_harmonics=1),
+        fitted.time_s,
+        fitted.speed_rpm,
+        excluded=None if fitted.used.all() else ~fitted.used,
     )
-    end = refine(objective, point.optimum.searched)
-    return float(objective.solve(end[None]).coefficients[0, -1])
+    refined = refine(objective, point.optimum.searched)
+    return float(objective.solve(refined[None]).coefficients[0, -1])

@@ -1,12 +1,12 @@
-"""Several routes beside one another, each whole; one answers for all snapshots.
+"""Run the direct and the amplitude route in full; one of them answers for all snapshots.
 
-So the change between snapshots lies within one route. With a bench the direct route answers where
-its checks pass, the amplitude beside it. Where the direct route could not be sampled, or a
-recording cannot be compared with the simulation, the amplitude answers. Where a recording
-contradicts the bench, neither does: the curve is of that bench too.
+The change between snapshots thus lies within one route. With a bench the direct route answers if
+its checks pass, with the amplitude beside it. The amplitude answers if the direct route could not
+be sampled or a recording cannot be compared with the simulation. If a recording contradicts the
+bench, neither answers, because the curve belongs to that bench too.
 
-Where all recordings have the load's position too, both encoders are a witness beside these. They
-need no bench, so what the bench has wrong shows as a disagreement.
+If all recordings include the load's position, the two-encoder route is run as a witness. It needs
+no bench, so an error of the bench shows as a disagreement.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 FALSE_ALARM = 0.01
-"""Of the routes' disagreement, over all snapshots of a run."""
+"""Probability that consistent routes are said to disagree, over all snapshots of a run."""
 
 
 class AutoMeasurer(Measurer):
-    """Both routes of one bench."""
+    """The direct and the amplitude route of one bench."""
 
     def __init__(self, config: SnapshotConfig) -> None:
         super().__init__(config)
@@ -44,28 +44,28 @@ class AutoMeasurer(Measurer):
         self.gap_range_rad = self.direct.gap_range_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
-        """The bench and the curve."""
+        """Yield the bench and the curve."""
         yield from self.direct.describe()
         yield from self.amplitude.describe()
 
     def require_usable(self, recording: Recording) -> None:
-        """The amplitude can be measured; where only the direct route cannot, it is left out."""
+        """Require that the deciding route can measure; the direct route alone may fail."""
         self._of([recording]).require_usable(recording)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """What holds for the amplitude; the direct route takes any."""
+        """Check comparability for the amplitude route; the direct route compares any recordings."""
         return self._of(recordings).require_together(recordings)
 
     def _of(self, recordings: Sequence[Recording]) -> Measurer:
-        """The route that decides what can be measured: motions are the direct one's alone."""
+        """The route that decides what can be measured: only the direct route measures motions."""
         return self.direct if any(map(moves, recordings)) else self.amplitude
 
     def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
-        """Of the direct route."""
+        """Expected standard deviations of the direct route."""
         return self.direct.expected(recordings)
 
     def measure(self, task: Task) -> Measurement:
-        """By both routes, each whole.
+        """Measure by both routes and choose the one that answers.
 
         Raises
         ------
@@ -86,7 +86,7 @@ class AutoMeasurer(Measurer):
         return self._of_both(direct, amplitude)
 
     def _of_both(self, direct: Measurement, amplitude: Measurement) -> Measurement:
-        """Direct, unless it failed by itself while the amplitude has an answer."""
+        """The direct answer, unless that route itself failed and the amplitude has an answer."""
         if self.amplitude.bench is not None:
             amplitude = _without_contradicted(direct, amplitude)
         failed = [
@@ -101,14 +101,14 @@ class AutoMeasurer(Measurer):
         why = "sharper_and_checked" if checked else "sharper"
         if any(answer.is_withheld for answer in direct.answers):
             why = "direct_withheld"
-        against = direct.change_reason
-        if against is None and self.amplitude.bench is not None:
-            against = disagreement(direct, amplitude)
-        return replace(direct, why=Reason(why), beside=(amplitude,), change_reason=against)
+        change_reason = direct.change_reason
+        if change_reason is None and self.amplitude.bench is not None:
+            change_reason = disagreement(direct, amplitude)
+        return replace(direct, why=Reason(why), beside=(amplitude,), change_reason=change_reason)
 
 
 def _instead(amplitude: Measurement, because: Sequence[Reason]) -> Measurement:
-    """The amplitude's answer, which says why it is not the direct one."""
+    """The amplitude's answer, with a note why the direct route does not answer."""
     note = Reason("by_amplitude_instead", {"because": [reason.stored for reason in because]})
     answers = [replace(answer, reasons=(*answer.reasons, note)) for answer in amplitude.answers]
     return replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
@@ -118,11 +118,11 @@ def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | 
     try:
         return measure(task)
     except (RecordingError, CurveError, BenchError) as refusal:
-        return refusal  # what cannot be written or read is no matter of the route
+        return refusal  # other errors (files that cannot be read or written) are not the route's
 
 
 def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measurement:
-    """The amplitude's answer, withheld where the direct route's check contradicts the bench."""
+    """Withhold the amplitude's answer where the direct route's check contradicts the bench."""
     against = Reason("recording_contradicts_bench")
     answers = [
         answer
@@ -136,26 +136,26 @@ def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measur
 
 
 def disagreement(first: Measurement, second: Measurement, **values: object) -> Reason | None:
-    """Why the change is withheld: both routes answer, and not alike; ``values``: the sentence's."""
+    """Why the change is withheld: both routes answer and differ; ``values`` go to the sentence."""
     pairs = [
-        (one.name, one.delta_rad, answer.delta_rad)
-        for one, answer in zip(first.answers, second.answers, strict=True)
-        if not (one.is_withheld or answer.is_withheld)
-        if one.delta_rad is not None and answer.delta_rad is not None
+        (first_answer.name, first_answer.delta_rad, second_answer.delta_rad)
+        for first_answer, second_answer in zip(first.answers, second.answers, strict=True)
+        if not (first_answer.is_withheld or second_answer.is_withheld)
+        if first_answer.delta_rad is not None and second_answer.delta_rad is not None
     ]
     if not pairs:
         return None
     bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
-    apart = [name for name, *gaps in pairs if abs(_standard_difference(*gaps)) > bound]
-    return Reason("routes_disagree", {"names": apart, **values}) if apart else None
+    differing = [name for name, *gaps in pairs if abs(_standard_difference(*gaps)) > bound]
+    return Reason("routes_disagree", {"names": differing, **values}) if differing else None
 
 
 def _standard_difference(first: FloatArray, second: FloatArray) -> float:
-    """Difference of means of ln δ over its standard deviation, as if both gaps, in rad, were
-    independent; of gaps too small to be called so, of δ itself.
+    """Standardised difference of ln δ between two routes, as if their gaps (rad) were independent.
 
-    What both draw from the tolerances of the bench is common to them, so the true standard
-    deviation is smaller and the alarm rarer than its level.
+    For gaps far below ``SMALLEST_GAP_RAD`` it is the difference of δ itself. Both routes share the
+    tolerances of the bench. The true standard deviation is therefore smaller, and the alarm rarer
+    than its level.
     """
     first, second = (np.log(SMALLEST_GAP_RAD + gap_rad) for gap_rad in (first, second))
     sd = float(np.hypot(first.std(), second.std()))
@@ -163,9 +163,9 @@ def _standard_difference(first: FloatArray, second: FloatArray) -> float:
 
 
 def with_witness(measured: Measurement, task: Task) -> Measurement:
-    """The measurement with what two encoders say beside it, or why they say nothing.
+    """Add the two-encoder measurement as a witness, or the reason why it cannot be run.
 
-    The answer stays; a disagreement withholds the change, as one between other routes does.
+    The answer stays. A disagreement withholds the change, as between other routes.
     """
     measurer = TwoEncoderMeasurer(_with_gear_ratio(task.config))
     recordings = tuple(map(_of_both_encoders, task.recordings))
@@ -187,7 +187,7 @@ def with_witness(measured: Measurement, task: Task) -> Measurement:
 
 
 def _with_gear_ratio(config: SnapshotConfig) -> SnapshotConfig:
-    """With the ratio of the bench, where the joint's is not stated."""
+    """Use the gear ratio of the bench if the joint states none."""
     if config.joint.gear_ratio is not None or config.estimator.bench is None:
         return config
     known = {"gear_ratio": bench_of(config).value("gear_ratio")}
@@ -195,7 +195,7 @@ def _with_gear_ratio(config: SnapshotConfig) -> SnapshotConfig:
 
 
 def _of_both_encoders(recording: Recording) -> Recording:
-    """Samples that are no repairs; a motor's position that is missing is its speed, integrated."""
+    """Drop repaired samples; integrate the speed if the motor's position is missing."""
     channels, notes = dict(recording.channels), recording.notes
     if MOTOR_POSITION not in channels:
         from scipy.integrate import cumulative_trapezoid
@@ -203,15 +203,15 @@ def _of_both_encoders(recording: Recording) -> Recording:
         speed = recording.motor_speed_rpm / RPM_PER_RAD_PER_S
         channels[MOTOR_POSITION] = cumulative_trapezoid(speed, recording.time_s, initial=0.0)
         notes = (*notes, "The motor's position is its speed, integrated.")
-    if (lost := recording.excluded) is None:
+    if (repaired := recording.excluded) is None:
         return replace(recording, channels=channels, notes=notes)
-    kept = {name: values[~lost] for name, values in channels.items()}
-    time_s = recording.time_s[~lost]
+    kept = {name: values[~repaired] for name, values in channels.items()}
+    time_s = recording.time_s[~repaired]
     return replace(recording, time_s=time_s, channels=kept, notes=notes, excluded=None)
 
 
 def within_bound(answer: Answer) -> Answer:
-    """An answer whose gap may be none has all gaps below its bound alike, rad."""
+    """Replace δ by equally spaced gaps from 0 to its bound, rad, if the gap may be zero."""
     bound = answer.upper_bound_rad
     return answer if bound is None else replace(answer, delta_rad=np.linspace(0.0, bound, 1000))
 

@@ -1,6 +1,7 @@
-"""Whether recordings, estimator, gap curve, gear ratio and limit belong together.
+"""Check that recordings, estimator, gap curve, gear ratio and limit belong together.
 
-And the bench that a configuration names for its joint, with what it knows beside that file.
+Also read the bench that a configuration names for its joint, with the parameter values that the
+configuration overrides.
 """
 
 from __future__ import annotations
@@ -24,36 +25,36 @@ from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
 from bayesbl.ringing.symbols import ROTATION
 
 GEAR_RATIOS_APART = 0.01
-"""Largest relative difference between the joint's gear ratio and its bench's."""
+"""Largest relative difference between the joint's gear ratio and that of its bench."""
 
 LASTING = {
     "gear_ratio": "the one of the bench file: a gear keeps its ratio",
     "reference_speed_rpm": "reference_speed_rpm under [[recordings]], which is what it belongs to",
 }
-"""Parameters that no recording has a value of its own of here, and where they belong."""
+"""Parameters that cannot have a value per recording, and where to state them instead."""
 
 
 def bench_of(config: SnapshotConfig) -> Bench:
-    """The bench of the joint.
+    """Read and check the bench of the joint.
 
     Raises
     ------
     ConfigError
-        If there is none, it has no gap to measure, or lacks what may drift.
+        If there is no bench, it has no gap to measure, or it lacks a parameter that may drift.
     BenchError
-        If a recording is said to have a bench that makes no sense, or none can be simulated.
+        If the bench of a recording makes no physical sense, or cannot be simulated.
     """
     file = config.estimator.bench
     if file is None:
         raise ConfigError("This route needs a bench.", expected="--bench FILE")
     bench = bench_from(file)
     require_gap(bench, file)
-    stated, known = config.joint.gear_ratio, bench.value("gear_ratio")
-    if stated is not None and abs(stated / known - 1.0) > GEAR_RATIOS_APART:
+    configured, of_bench = config.joint.gear_ratio, bench.value("gear_ratio")
+    if configured is not None and abs(configured / of_bench - 1.0) > GEAR_RATIOS_APART:
         raise ConfigError(
             "The joint's gear ratio is not that of its bench.",
             where="[joint] gear_ratio",
-            found=f"{stated:g}, and {known:g} in {file}",
+            found=f"{configured:g}, and {of_bench:g} in {file}",
             expected="the same in both",
         )
     for name in config.joint.drift:
@@ -79,7 +80,7 @@ def bench_of(config: SnapshotConfig) -> Bench:
 
 
 def bench_with(bench: Bench, known: Mapping[str, float]) -> Bench:
-    """The bench with other values of parameters and of ``effect.parameter``.
+    """Replace the values of parameters and of effects' parameters (``effect.parameter``).
 
     Raises
     ------
@@ -88,79 +89,75 @@ def bench_with(bench: Bench, known: Mapping[str, float]) -> Bench:
     """
     effects = [
         BenchEffect(
-            present.name,
+            effect.name,
             {
-                **present.parameters,
+                **effect.parameters,
                 **{
                     name.partition(".")[2]: EffectParameterValue(value)
                     for name, value in known.items()
-                    if name.partition(".")[0] == present.name
+                    if name.partition(".")[0] == effect.name
                 },
             },
         )
-        for present in bench.effects
+        for effect in bench.effects
     ]
-    own = {name: value for name, value in known.items() if "." not in name}
-    return bench.with_effects(*effects).with_parameters(**own)
+    parameters = {name: value for name, value in known.items() if "." not in name}
+    return bench.with_effects(*effects).with_parameters(**parameters)
 
 
 def _require_changeable(bench: Bench, name: str, where: str) -> None:
-    """Refuse what no recording can have a value of its own of."""
+    """Refuse a parameter that cannot have a value per recording."""
     if name in LASTING:
         raise ConfigError(
             "This parameter cannot change here.", where=where, found=name, expected=LASTING[name]
         )
-    own = {
-        f"{present.name}.{parameter.name}"
-        for present in bench.effects
-        for parameter in effect_named(present.name).amplitudes
+    amplitudes = {
+        f"{effect.name}.{parameter.name}"
+        for effect in bench.effects
+        for parameter in effect_named(effect.name).amplitudes
     }
     changeable = [name for name in PARAMETER_INFO if name not in LASTING]
-    if name not in own | set(changeable):
+    if name not in amplitudes | set(changeable):
         raise ConfigError(
             "The bench has no such parameter.",
             where=where,
             found=name,
             expected="one of "
-            + ", ".join([*changeable, *sorted(own)])
+            + ", ".join([*changeable, *sorted(amplitudes)])
             + ", or of an effect that the bench file has",
         )
 
 
 SNAPSHOTS_APART = 0.02
-"""Largest relative difference in speed between snapshots.
-
-The published bench reads δ off by the power :data:`SPEED_POWER` of a wrong speed, so this moves a
-change of δ by 1 % of δ at most.
-"""
+"""Largest relative difference in speed between snapshots. On the published bench, a relative error
+of the speed changes δ by its power :data:`SPEED_POWER`. This tolerance moves a change of δ by at
+most 1 % of δ."""
 
 CURVE_APART = 0.05
-"""The same between a recording and a curve that is not of its bench, and is off by as much anyway.
-"""
+"""Largest relative difference in speed between a recording and a curve of another bench. Such a
+curve is wrong by about as much anyway."""
 
 SPEED_POWER = 0.4
-"""d ln δ/d ln v at a given amplitude, of the reference bench: 0.28 at 0.2 mrad, 0.57 at 3.5.
-
-``python experiments/speed_power.py``; 0.4 is its value near 0.5 mrad, and tells an error that is
-named "some … %" to half of itself anywhere in between.
-"""
+"""d ln δ/d ln v at a given amplitude on the reference bench: 0.28 at 0.2 mrad, 0.57 at 3.5 mrad.
+From ``python experiments/speed_power.py``. The value near 0.5 mrad is 0.4. It predicts the error,
+reported as "some … %", to within half of itself everywhere in that range."""
 
 ROTATION_APART = 0.03
-"""Largest relative difference between the rotation found and that by speed and gear ratio."""
+"""Largest relative difference between the fitted load rotation and that by speed and gear ratio."""
 
 SPEED_TOLERANCE = 0.01
 """Largest relative difference in speed between a recording and the curve that δ is read from.
 
-With the power of the speed that :data:`SPEED_POWER` is taken from, 0.57 at most, this moves δ by
-0.6 % at most: no more than the lack of fit that a curve may have, and a quarter of the 2 % that an
-amplitude tells δ to.
+With a power of at most 0.57 (see :data:`SPEED_POWER`) this moves δ by at most 0.6 %. That is no
+more than the lack of fit allowed for a curve, and a quarter of the 2 % to which an amplitude
+determines δ.
 """
 
 SPEED = "nominal_speed_rpm"
-"""Entry of a fingerprint that is compared within the tolerance, not digit by digit."""
+"""Entry of a fingerprint that is compared within a tolerance, not digit by digit."""
 
 LIMIT_BEYOND = 10.0
-"""A limit that lies beyond the gaps that can be measured by more than this factor is a mistake."""
+"""A limit outside the range of measurable gaps by more than this factor is taken for a mistake."""
 
 
 def limit_rad_of(config: SnapshotConfig) -> float | None:
@@ -169,27 +166,27 @@ def limit_rad_of(config: SnapshotConfig) -> float | None:
     Raises
     ------
     ConfigError
-        Where the joint's wind-up is not known, or leaves no room for a gap.
+        If the joint's wind-up is not known, or leaves no room for a gap.
     """
     limit = config.joint.limit
     return config.joint.limit_rad if limit is None else limit.delta_rad(windup_rad_of(config))
 
 
 def windup_rad_of(config: SnapshotConfig) -> float:
-    """What the joint gives way at the torque of a limit of lost motion, both ways; else 0."""
+    """Wind-up, both ways, at the torque of a limit of lost motion, rad; 0 without such a limit."""
     joint, bench = config.joint, config.estimator.bench
     if joint.limit is None:
         return 0.0
     stiffness = None
     if joint.limit.of == "lost_motion" and bench is not None:
-        given = bench_from(bench)
-        if given.drive != "rigid":
-            stiffness = given.parameters["shaft_stiffness_nm_per_rad"].value
+        shaft_bench = bench_from(bench)
+        if shaft_bench.drive != "rigid":
+            stiffness = shaft_bench.parameters["shaft_stiffness_nm_per_rad"].value
     return joint.limit.windup_rad(joint.rated_torque_nm, stiffness)
 
 
 def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float] | None) -> None:
-    """The limit is not far from all gaps that can be measured: most likely another unit."""
+    """Refuse a limit far outside the range of measurable gaps: most likely another unit."""
     if limit_rad is None or range_rad is None:
         return
     low, high = range_rad
@@ -205,8 +202,10 @@ def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, flo
 
 
 def require_different(recordings: Sequence[Recording]) -> None:
-    """No two of these are one recording; raises :class:`RecordingError` where files are alike byte
-    for byte: no change between them means anything."""
+    """Refuse two files that are identical byte for byte, by :class:`RecordingError`.
+
+    A change between them would mean nothing.
+    """
     names: dict[str, str] = {}
     for recording in recordings:
         if recording.source is None:
@@ -223,15 +222,15 @@ def require_different(recordings: Sequence[Recording]) -> None:
 
 
 def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Recording) -> None:
-    """The curve means the same A as the fit; raises :class:`CurveError` with the difference."""
+    """Require that curve and fit define A alike; raise :class:`CurveError` with the difference."""
     if curve.fingerprint is None:
         return
-    mine, theirs = json.loads(estimator.fingerprint(recording)), json.loads(curve.fingerprint)
-    # A fingerprint has two digits of the speed; the curve's file has all of them beside it.
-    mine[SPEED] = nominal_speed_rpm(recording)
-    theirs[SPEED] = curve.reference_speed_rpm or theirs[SPEED]
-    different = {k for k in {*mine, *theirs} if mine.get(k) != theirs.get(k)}
-    if abs(mine[SPEED] / theirs[SPEED] - 1.0) <= SPEED_TOLERANCE:
+    of_fit, of_curve = json.loads(estimator.fingerprint(recording)), json.loads(curve.fingerprint)
+    # A fingerprint rounds the speed to two digits; the curve's file also has all of them.
+    of_fit[SPEED] = nominal_speed_rpm(recording)
+    of_curve[SPEED] = curve.reference_speed_rpm or of_curve[SPEED]
+    different = {k for k in {*of_fit, *of_curve} if of_fit.get(k) != of_curve.get(k)}
+    if abs(of_fit[SPEED] / of_curve[SPEED] - 1.0) <= SPEED_TOLERANCE:
         different.discard(SPEED)
     if different:
         names = sorted(different)
@@ -244,13 +243,13 @@ def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Rec
             problem,
             file=curve.name,
             where=", ".join(names),
-            found="; ".join(f"{_entry(k, theirs)} in the curve" for k in names),
-            expected="; ".join(f"{_entry(k, mine)} as in {recording.name}" for k in names),
+            found="; ".join(f"{_entry(k, of_curve)} in the curve" for k in names),
+            expected="; ".join(f"{_entry(k, of_fit)} as in {recording.name}" for k in names),
         )
 
 
 def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
-    """All snapshots are of one speed, in either direction.
+    """Require that all snapshots have one speed, in either direction.
 
     Raises
     ------
@@ -273,7 +272,7 @@ def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
 
 
 def other_speed(recording: Recording, curve: GapCurve) -> Reason | None:
-    """Why a curve of another speed gives no gap; ``None`` where it is of this speed."""
+    """Why a curve of another speed gives no gap; ``None`` if the speeds agree."""
     if curve.reference_speed_rpm is None:
         return None
     speed = nominal_speed_rpm(recording)
@@ -289,7 +288,7 @@ def other_speed(recording: Recording, curve: GapCurve) -> Reason | None:
 
 
 def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> Reason | None:
-    """Why the rotation that was found is not the load's; ``None`` where it may be."""
+    """Why the fitted rotation is not that of the load; ``None`` if it may be."""
     if gear_ratio is None:
         return None
     found_s = fit.point.optimum.symbols[ROTATION]
@@ -317,9 +316,9 @@ def unsuited(
     return [reason for reason in reasons if reason]
 
 
-def _entry(key: str, meaning: Mapping[str, Any]) -> str:
-    """An entry of a fingerprint in words."""
-    if key not in meaning:
+def _entry(key: str, fingerprint: Mapping[str, Any]) -> str:
+    """An entry of a fingerprint as text."""
+    if key not in fingerprint:
         return f"no {key}"
-    value = meaning[key]
+    value = fingerprint[key]
     return f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"

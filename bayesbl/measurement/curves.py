@@ -1,9 +1,9 @@
-"""Where the curve from amplitude to gap comes from: a named one, a bench, or nowhere.
+"""Source of the gap curve (amplitude to gap): a named curve, a sweep of the bench, or none.
 
-A bench is swept for what each recording needs (its rate, speed and length), and what was swept is
-kept by content: the same bench with the same needs is read. All curves of a bench are of the same
-draws of it, so that its unknown parameters cancel in a change between recordings of other speeds
-and rates too.
+The bench is swept for the sampling rate, speed and length of each recording. Sweeps are stored by
+content, so the same bench with the same needs is read from the store. All curves of a bench use the
+same draws of its parameters. Unknown parameters therefore cancel in a change, also between
+recordings of different speeds and rates.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ from bayesbl.ringing.estimator import nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
 
 AMPLITUDES, BAND_DRAWS = 200, 1000
-"""At which a curve is stored for figures, and behind its band."""
+"""Amplitudes at which a curve is stored for figures, and curve draws behind its band."""
 
 SOURCE_PREFIX = "source_"
-"""Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
+"""Prefix of the stored variables that hold curve draws by one source of uncertainty."""
 
 ROW_PREFIX = "row_"
-"""Of the variables that tell which of these draws belongs to a draw of δ."""
+"""Prefix of the stored variables that say which curve draw belongs to each draw of δ."""
 
 BY_COEFFICIENTS = ("regression", "rounding")
 """Sources that are an uncertainty of the coefficients."""
@@ -99,11 +99,11 @@ CURVE = Group(
     table("amplitude (amplitude) | rpm | amplitude of the impact ringing"),
     named=_source,
 )
-"""A curve; in a measurement, how the draws of δ went through it too.
+"""A gap curve. In a measurement it also has the curve draw that each draw of δ used.
 
 δ = Σ coefficients·A^k · exp(correction + Σ source), at A = ``curve_amplitude_rpm`` of the
-posterior, correction and sources linear in ln A between the knots, of each source the row that
-``row_…`` names for the draw.
+posterior. Correction and sources are linear in ln A between the knots. The row of each source is
+the one that ``row_…`` names for the draw.
 """
 
 
@@ -119,17 +119,17 @@ def curves_group(
     Parameters
     ----------
     curves
-        Of each recording. Where they differ they are stacked over the range of all.
+        One per recording. Different curves are stacked over the union of their amplitude ranges.
     rows
-        Of each recording by source, which draw of the curve each draw of δ went through.
+        For each recording, by source, the curve draw that each draw of δ used.
     """
     if all(curve is curves[0] for curve in curves):
         return curve_group(curves[0], level, seed, rows[0])
     ranges = np.array([curve.amplitude_range_rpm for curve in curves])
     ends = (float(ranges.min()), float(ranges.max()))
     parts = {
-        name: {CURVE.name: curve_group(curve, level, seed, own, ends)}
-        for name, curve, own in zip(names, curves, rows, strict=True)
+        name: {CURVE.name: curve_group(curve, level, seed, draw_rows, ends)}
+        for name, curve, draw_rows in zip(names, curves, rows, strict=True)
     }
     return stack_snapshots(parts)[CURVE.name]
 
@@ -141,17 +141,17 @@ def curve_group(
     rows: Mapping[str, NDArray[np.int64]] | None = None,
     range_rpm: tuple[float, float] | None = None,
 ) -> xr.Dataset:
-    """Group :data:`CURVE`, with the band of its draws over a range, its own by default.
+    """Group :data:`CURVE`, with the band of its draws over ``range_rpm`` (the curve's by default).
 
-    ``rows``: by source, which draw each draw of δ went through; ``None`` of a sweep, from which
-    :func:`curve_from_dataset` gives the whole curve back.
+    ``rows``: by source, the curve draw that each draw of δ used. ``None`` for a sweep, from which
+    :func:`curve_from_dataset` restores the whole curve.
     """
     values: dict[str, object] = {}
     sources = curve.sources
     if rows is not None:
-        # As figures and checks need them: a sweep keeps all digits.
+        # Single precision suffices for figures and checks; a sweep keeps all digits.
         sources = {name: draws.astype(np.float32) for name, draws in sources.items()}
-        values |= {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
+        values |= {f"{ROW_PREFIX}{name}": draw_rows for name, draw_rows in rows.items()}
         drawn = coefficient_draws(curve)
         if drawn is not None:
             values |= {"coefficient_draws": drawn, "covariance": np.cov(drawn, rowvar=False)}
@@ -174,9 +174,10 @@ def curve_group(
 
 
 def coefficient_draws(curve: GapCurve) -> FloatArray | None:
-    """Coefficients of each curve that their uncertainty allows, shape (m, degree + 1).
+    """Draws of the curve's coefficients within their uncertainty, shape (m, degree + 1).
 
-    By relative least squares at the knots; ``None`` where no source is of the coefficients.
+    By relative least squares at the knots; ``None`` if no source is an uncertainty of the
+    coefficients.
     """
     departures = [curve.sources[name] for name in BY_COEFFICIENTS if name in curve.sources]
     if not departures:
@@ -184,14 +185,14 @@ def coefficient_draws(curve: GapCurve) -> FloatArray | None:
     nominal = polynomial.polyval(curve.knots_rpm, curve.coefficients)
     powers = curve.knots_rpm[:, None] ** np.arange(curve.coefficients.size)
     inverse = np.linalg.pinv(powers / nominal[:, None], rcond=1e-15)
-    shares = np.expm1(np.sum(departures, axis=0))
-    return np.asarray(curve.coefficients + shares @ inverse.T)
+    relative = np.expm1(np.sum(departures, axis=0))
+    return np.asarray(curve.coefficients + relative @ inverse.T)
 
 
 def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
-    """The curve that :func:`curve_group` stored of a sweep, under a new name."""
+    """Restore the curve that :func:`curve_group` stored for a sweep, under a new name."""
     arrays = {str(key): variable.values for key, variable in stored.variables.items()}
-    own = {f.name: arrays[f.name] for f in fields(GapCurve) if f.name in arrays}
+    plain_fields = {f.name: arrays[f.name] for f in fields(GapCurve) if f.name in arrays}
     return GapCurve(
         name=name,
         sources={
@@ -205,12 +206,12 @@ def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
         else None,
         warnings=tuple(texts(stored.attrs.get("warnings"))),
         reference_speed_rpm=float(stored.attrs.get("reference_speed_rpm", 0.0)) or None,
-        **own,
+        **plain_fields,
     )
 
 
 def read_curve(path: str | Path) -> GapCurve:
-    """The gap curve of a sweep's result.
+    """Read the gap curve from the result of a sweep.
 
     Raises
     ------
@@ -232,7 +233,7 @@ def read_curve(path: str | Path) -> GapCurve:
 
 @dataclass(frozen=True, slots=True)
 class SweepProblem:
-    """What decides the numbers of every row, and where finished rows of all sweeps are kept."""
+    """The inputs that determine every row of a sweep, and the store of finished rows."""
 
     bench: Bench
     model: DisturbanceModel
@@ -241,7 +242,7 @@ class SweepProblem:
     work: WorkStore
 
     def nominal(self, seed: np.random.SeedSequence, workers: int) -> SweepRow:
-        """The row of the bench itself.
+        """The row of the nominal bench.
 
         Raises
         ------
@@ -261,10 +262,10 @@ class SweepProblem:
         workers: int,
         progress: Progress | None = None,
     ) -> SweptDraws | None:
-        """Sweeps of benches drawn within the tolerances, over processes; ``None`` for none.
+        """Sweep ``count`` benches drawn within the tolerances; ``None`` for a count of 0.
 
-        The benches depend on bench, count and seed alone: two problems of one bench at other
-        speeds or rates draw the same ones.
+        The drawn benches depend on bench, count and seed alone. Two problems of one bench at
+        different speeds or rates therefore draw the same benches.
         """
         if count == 0:
             return None
@@ -274,43 +275,44 @@ class SweepProblem:
         shifts = np.array(
             [[(b.value(n) - self.bench.value(n)) / tolerances[n] for n in names] for b in benches]
         )
-        kept = [self.work.recall("sweep row", self._inputs(b), SweepRow) for b in benches]
-        lacking = [bench for bench, row in zip(benches, kept, strict=True) if row is None]
+        stored = [self.work.recall("sweep row", self._inputs(b), SweepRow) for b in benches]
+        missing = [bench for bench, row in zip(benches, stored, strict=True) if row is None]
         rows = []
-        # Few benches are swept before processes have started.
-        alone = workers == 1 or len(lacking) < 2 * workers
-        with nullcontext() if alone else processes(workers) as pool:
-            made = (map if pool is None else pool.map)(partial(self.drawn, nominal), lacking)
-            for row in kept:
-                rows.append(departures(row or next(made), nominal, self.model))
+        # A few benches are swept faster than processes start.
+        serial = workers == 1 or len(missing) < 2 * workers
+        with nullcontext() if serial else processes(workers) as pool:
+            swept = (map if pool is None else pool.map)(partial(self.drawn, nominal), missing)
+            for row in stored:
+                rows.append(departures(row or next(swept), nominal, self.model))
                 if progress is not None:
                     progress(len(rows), count)
         return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
 
     def drawn(self, nominal: SweepRow, bench: Bench) -> SweepRow:
-        """The row of a bench drawn around the nominal one."""
+        """The row of a bench that was drawn around the nominal one."""
         return self._row(bench, lambda: sweep_like(bench, nominal, self.model, self.settings))
 
     def _row(self, drawn: Bench | None, make: Callable[[], SweepRow]) -> SweepRow:
-        """The row of the bench, or of one drawn around it, if no earlier sweep has made it."""
+        """The row of the nominal or a drawn bench, from the store if an earlier sweep made it."""
         return self.work.get("sweep row", self._inputs(drawn), partial(_finite, make), SweepRow)
 
     def _inputs(self, drawn: Bench | None) -> tuple[object, ...]:
-        """All that decides a row."""
+        """All inputs that determine a row."""
         benches = (self.bench.fingerprint(), None if drawn is None else drawn.fingerprint())
         return (*benches, self.model, self.settings, self.seed)
 
 
 def _root_of_shifts(bench: Bench) -> FloatArray | None:
-    """Of the covariance of the shifts of a bench with identified parameters; to first order."""
-    joint = bench.identified
-    if joint is None:
+    """Cholesky factor of the covariance of the parameter shifts, to first order. ``None`` for a
+    bench without identified parameters."""
+    identified = bench.identified
+    if identified is None:
         return None
     names = list(bench.tolerances)
-    covariance = np.eye(len(names)) / 3.0  # of those that are uniform
-    own = [names.index(name) for name in joint.names]
-    scale = np.array([bench.value(name) / bench.tolerances[name] for name in joint.names])
-    covariance[np.ix_(own, own)] = np.outer(scale, scale) * joint.covariance
+    covariance = np.eye(len(names)) / 3.0  # variance of uniform shifts
+    index = [names.index(name) for name in identified.names]
+    scale = np.array([bench.value(name) / bench.tolerances[name] for name in identified.names])
+    covariance[np.ix_(index, index)] = np.outer(scale, scale) * identified.covariance
     return np.asarray(np.linalg.cholesky(covariance))
 
 
@@ -326,32 +328,32 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
 
 
 GAPS, START_ANGLES = 20, 4
-"""Of a curve on demand. See ``experiments/curve_counts.py`` for what δ is off by against 60 gaps,
-16 start angles and 5 rotations: far less than the amplitude tells δ to."""
+"""Gaps and start angles of a curve on demand. Against 60 gaps, 16 start angles and 5 rotations the
+error of δ is far less than the uncertainty by the amplitude (``experiments/curve_counts.py``)."""
 
 MOST_ROTATIONS = 3
-"""Load rotations simulated: a longer recording means the same amplitude within 0.03 % of δ."""
+"""Simulated load rotations: more change the fitted amplitude by less than 0.03 % of δ."""
 
 DRAWS_PER_TERM = 3
-"""Swept benches for each term of their description, linear in the parameters: with 24 for seven
-parameters the width of the curve's band is within 3 % of that by 150 (same command)."""
+"""Swept benches per term of the linear model in the parameters. With 24 benches for seven
+parameters the curve's band is as wide as with 150, within 3 % (same command)."""
 
 DEGREE = 3
 SEED = 20260301
-"""Of all curves on demand: what is kept serves runs of every seed."""
+"""One seed for all curves on demand, so that the store serves runs of every seed."""
 
 STORE = ".curves"
-"""Folder beside the results in which swept rows are kept."""
+"""Folder beside the results that stores swept rows."""
 
 MOST_KEPT = 5000
-"""Rows in the store, some 10 kB each; the oldest go first."""
+"""Rows in the store, some 10 kB each; the oldest are deleted first."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Need:
-    """What decides the curve of a recording, beside bench file and estimator.
+    """What determines the curve of a recording, besides bench file and estimator.
 
-    ``known``: bench values that were others when it was made.
+    ``known``: bench values that differed when the recording was made.
     """
 
     reference_speed_rpm: float
@@ -371,9 +373,9 @@ class CurveMeasurer(Measurer):
     named
         The published curve, or that of a sweep: one for all recordings.
     estimator
-        Of the ringing's amplitude.
+        Estimator of the ringing's amplitude.
     bench
-        Swept for what each recording needs, where no curve is named.
+        The bench to sweep for each recording, if no curve is named.
 
     Raises
     ------
@@ -394,7 +396,7 @@ class CurveMeasurer(Measurer):
         self.bench = bench if self.named is None else None
 
     def describe_curve(self) -> str:
-        """Which curve this is, or what gives one."""
+        """The name of the curve, or where it comes from."""
         if self.named is not None:
             return self.named.name
         if self.bench is not None:
@@ -402,7 +404,7 @@ class CurveMeasurer(Measurer):
         return "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
 
     def require_usable(self, recording: Recording) -> None:
-        """A named curve means the same amplitude as a fit; a bench shows its gap at this speed.
+        """Require that the named curve fits the estimator, or that the bench's gap shows.
 
         Raises
         ------
@@ -416,22 +418,22 @@ class CurveMeasurer(Measurer):
             require_flank_change(bench, [speed], self.config.estimator.bench)
 
     def doubts(self, recording: Recording) -> Iterator[Reason]:
-        """Why δ would be withheld whatever the fit finds: the curve is of another speed."""
+        """Yield why δ would be withheld whatever the fit: the curve belongs to another speed."""
         if self.named is not None and not self.config.curve.allow_extrapolation:
-            against = other_speed(recording, self.named)
+            speed_reason = other_speed(recording, self.named)
             question = self.question(recording)
-            yield from (reason for reason in (against and question, against) if reason)
+            yield from (reason for reason in (speed_reason and question, speed_reason) if reason)
 
     def question(self, recording: Recording) -> Reason | None:
-        """What to ask the user first where δ is withheld: is the speed in another unit?"""
+        """Ask whether the speed is in another unit, if that would explain why δ is withheld."""
         speed_rpm = None if self.named is None else self.named.reference_speed_rpm
         text = speed_in_another_unit(recording, speed_rpm)
         return None if text is None else Reason.of_text("speed_unit", text)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Raises where these cannot be compared; what they share, where that is worth saying.
+        """Raise if the recordings cannot be compared; return the speed they share.
 
-        With a bench they may be of any speeds and rates: each has its own curve.
+        With a bench, speeds and rates may differ, because each recording has its own curve.
         """
         if self.bench is not None or len(recordings) < 2:
             return None
@@ -439,7 +441,7 @@ class CurveMeasurer(Measurer):
         return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
 
     def bench_of(self, recording: Recording) -> Bench | None:
-        """The bench at the time of a recording; ``None`` where curves are not of a bench."""
+        """The bench at the time of a recording; ``None`` if no curves are swept from a bench."""
         if self.bench is None:
             return None
         return bench_with(self.bench, self.config.entry_of(recording.name).bench)
@@ -459,19 +461,19 @@ class CurveMeasurer(Measurer):
         if self.bench is None:
             return None
         needs = [self._need(recording, self.bench) for recording in task.recordings]
-        made = {
+        curve_of_need = {
             need: self._swept(need, task, recording)
             for need, recording in dict(zip(needs, task.recordings, strict=True)).items()
         }
         task.swept.keep_latest(count=MOST_KEPT)
-        return [made[need] for need in needs]
+        return [curve_of_need[need] for need in needs]
 
     def _need(self, recording: Recording, bench: Bench) -> _Need:
         entry = self.config.entry_of(recording.name)
         speed = reference_speed(recording, bench, entry.reference_speed_rpm)
-        turns = recording.duration_s / bench.rotation_period_s(speed)
-        rotations = min(max(int(turns), 2), MOST_ROTATIONS)
-        # To the digits by which the fingerprint of an estimator tells rates apart.
+        recorded_rotations = recording.duration_s / bench.rotation_period_s(speed)
+        rotations = min(max(int(recorded_rotations), 2), MOST_ROTATIONS)
+        # The fingerprint of an estimator distinguishes rates to three digits.
         sampling_hz = float(f"{1.0 / recording.sampling_period_s:.3g}")
         return _Need(speed, sampling_hz, rotations, tuple(sorted(entry.bench.items())))
 

@@ -1,7 +1,7 @@
-"""Straight from recordings to the gap: their bench is simulated until it matches them.
+"""The direct route: fit the simulated bench to the recordings, with the gap as an unknown.
 
-All snapshots of a joint are fitted at once. They share the bench, so what is not known of it
-largely cancels in the change.
+All snapshots of a joint are fitted at once. They share the bench, so its unknown parameters largely
+cancel in the change.
 """
 
 from __future__ import annotations
@@ -74,27 +74,27 @@ from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.units import unit_of
 
 WHOLE_ORDER = 0.03
-"""Of the load's turns, by which the order of a line is not whole: some times what five rotations
-tell it to."""
+"""Distance from a whole number above which a line's order is not whole: several times the
+resolution by five rotations."""
 
 BOUNDED = ("gap_unseen",)
-"""Codes of what withholds δ and leaves a bound of it."""
+"""Codes of reasons that withhold δ but leave an upper bound."""
 
 EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
-"""Gaps of a new reducer, a used one and a worn one."""
+"""Gaps of a new, a used and a worn reducer."""
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
 class DirectMatch:
-    """A joint posterior with the predictive check of its optimum, and what changed in the joint."""
+    """A joint posterior, the predictive check of its optimum, and the changes of the joint."""
 
     posterior: DirectPosterior
     check: tuple[RepeatingPower, ...]
     joint: JointFindings
     allows_for_misfit: bool = False
-    """Whether δ includes what a law that nothing names may do to it."""
+    """Whether δ includes the possible effect of a law that no candidate explains."""
 
     @property
     def change_rad(self) -> FloatArray:
@@ -104,18 +104,18 @@ class DirectMatch:
         return last - first
 
     def repeating(self, recording: str) -> list[RepeatingPower]:
-        """Entries that noise does not explain and that touch the answer of one recording.
+        """Entries that noise does not explain and that affect the answer of one recording.
 
-        Through shared unknowns a misfit in one recording moves the gap of all.
+        Through shared unknowns, a misfit in one recording moves the gaps of all.
         """
         shared_by_all = any(u.recording is None for u in self.posterior.fit.model.unknowns)
         repeating = standing_out(self.check)
         return [entry for entry in repeating if shared_by_all or entry.recording == recording]
 
     def model_check(self, recording: str, level: float) -> JointCheck:
-        """Whether this recording may be one of the bench as believed.
+        """Whether this recording is consistent with the bench as stated.
 
-        What disagrees is said by a reason, which withholds δ, or by the comparison.
+        A disagreement shows in a reason that withholds δ, or in the comparison.
         """
         beyond = self.posterior.beyond_tolerance(recording, level)
         check = check_of_snapshot(self.joint, recording)
@@ -132,12 +132,12 @@ class DirectMeasurer(Measurer):
         self.gap_range_rad = config.estimator.gap_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
-        """The bench."""
+        """Yield the bench."""
         file, form = self.config.estimator.bench, self.bench.gap_form
         yield "bench", lambda: f"{file}, gap form {form}"
 
     def require_usable(self, recording: Recording) -> None:
-        """The bench can be compared with it, and its gap shows."""
+        """Require that the bench can be compared with the recording, and that its gap shows."""
         observation = observed_of(self.config, self.bench, recording)
         if observation.motion is None:
             bench = bench_with(self.bench, self.config.entry_of(recording.name).bench)
@@ -146,7 +146,7 @@ class DirectMeasurer(Measurer):
             )
 
     def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
-        """At gaps within the prior, by the bench and the noise; at constant speed."""
+        """Expected at gaps within the prior, from bench and noise; only for constant speed."""
         if not recordings or any(map(moves, recordings)):
             return ()
         observations = [observed_of(self.config, self.bench, recording) for recording in recordings]
@@ -155,13 +155,13 @@ class DirectMeasurer(Measurer):
         return expected_sds(
             bench,
             observations,
-            direct_unknowns(bench, [one.name for one in observations], (low, high)),
+            direct_unknowns(bench, [observation.name for observation in observations], (low, high)),
             directions(bench, self.config.joint.drift),
             [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high],
         )
 
     def measure(self, task: Task) -> Measurement:
-        """Match the bench with all recordings at once."""
+        """Fit the bench to all recordings at once."""
         problem = (
             self.bench,
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
@@ -179,8 +179,8 @@ class DirectMeasurer(Measurer):
         level = self.config.interval.level
         seeds = task.seeds.predictive.spawn(len(task.recordings))
         answers = [
-            self._answer(recording, index, match, own)
-            for index, (recording, own) in enumerate(zip(task.recordings, seeds, strict=True))
+            self._answer(recording, index, match, child)
+            for index, (recording, child) in enumerate(zip(task.recordings, seeds, strict=True))
         ]
         withheld = any(a.is_withheld for a in answers)
         return Measurement(
@@ -221,7 +221,7 @@ class DirectMeasurer(Measurer):
         )
 
     def _beyond_the_bench(self, match: DirectMatch) -> Iterator[Reason]:
-        """Notes of what the bench lacks and δ allows for."""
+        """Yield notes of what was added to the bench and is allowed for in δ."""
         if (part := match.joint.part) is not None:
             values = {
                 "name": part.name,
@@ -236,7 +236,7 @@ class DirectMeasurer(Measurer):
                 yield Reason("controller_period", {"period_s": period_s})
 
     def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
-        """A note where the bench was identified from this very recording."""
+        """Yield a note if the bench was identified from this very recording."""
         joint = self.bench.identified
         entry = self.config.entry_of(recording.name)
         if joint is not None and file_sha256(entry.file) in joint.sources:
@@ -244,7 +244,7 @@ class DirectMeasurer(Measurer):
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
-    """A recording as the simulator is compared with it, with what the config knows of it."""
+    """A recording prepared for the simulator, with the parameter values that its config states."""
     require_alive(recording, (MOTOR_CURRENT,))
     require_unshaken(recording, bench)
     entry = config.entry_of(recording.name)
@@ -254,20 +254,20 @@ def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> O
 
 
 def require_unshaken(recording: Recording, bench: Bench) -> None:
-    """Nothing that the simulation lacks shakes a joint at constant speed from outside.
+    """Require that no outside vibration shakes a joint at constant speed.
 
-    A line at a whole order of the load or the motor, or of a bench that has lines of its own, is
-    the simulation's to explain.
+    Lines at whole orders of the load or the motor are part of the simulation, as are all lines if
+    the bench has periodic effects.
 
     Raises
     ------
     RecordingError
-        With the frequency, if something does.
+        If there are other lines, with their frequencies.
     """
     if moves(recording) or any(effect_named(e.name).is_periodic for e in bench.effects):
         return
-    unturned, _ = without_motor_lines(recording)
-    channels = {MOTOR_SPEED: unturned.motor_speed_rpm}
+    without_motor, _ = without_motor_lines(recording)
+    channels = {MOTOR_SPEED: without_motor.motor_speed_rpm}
     turn_s = bench.rotation_period_s(float(recording.motor_speed_rpm.mean()))
     _, lines = without_outside_lines(channels, recording.sampling_period_s, turn_s)
     orders = [line.frequency_hz * turn_s for line in lines]
@@ -300,44 +300,45 @@ def fit_directly(
     workers: int = 1,
     progress: StageProgress | None = None,
 ) -> DirectMatch:
-    """Optimum and posterior of all recordings together, ``drift`` as of :func:`fit_jointly`."""
-    whole = fit_jointly(bench, recordings, gap_rad, drift, workers, progress)
+    """Optimum and posterior of all recordings; ``drift`` as of :func:`fit_jointly`."""
+    joint_fit = fit_jointly(bench, recordings, gap_rad, drift, workers, progress)
     name = " and ".join(r.name for r in recordings)
     report = of_stage(progress, f"Sampling {name}")
     simulating = of_stage(progress, f"Simulating draws of {name}")
-    allows = whole.allows_for_misfit
-    withheld = not (whole.joint.explained or allows)
-    posterior = whole.sampled(sampler, seed, report, simulating, withheld=withheld)
-    return DirectMatch(posterior, whole.linear_fit.check, whole.joint, allows)
+    allows_for_misfit = joint_fit.allows_for_misfit
+    withheld = not (joint_fit.joint.explained or allows_for_misfit)
+    posterior = joint_fit.sampled(sampler, seed, report, simulating, withheld=withheld)
+    return DirectMatch(posterior, joint_fit.linear_fit.check, joint_fit.joint, allows_for_misfit)
 
 
 def direct_reasons(
     match: DirectMatch, index: int, notes: Sequence[Reason] = (), level: float = 0.9
 ) -> list[Reason]:
-    """All that is to be known of one snapshot's answer, the gravest first.
+    """List the reasons and notes of one snapshot's answer, the gravest first.
 
-    ``index``: of its recording; ``notes``: what was done to it; ``level``: of the interval.
+    ``index``: place of its recording in the model; ``notes``: what was done to it; ``level``: of
+    the interval.
     """
     fit = match.posterior.fit
     recording = fit.model.recordings[index]
     gap = match.posterior.values(GAP, recording.name)
     repeating = match.repeating(recording.name)
     with_current = len(recording.signals) > 1
-    decides = match.posterior.beyond_tolerance(recording.name, level)
-    against = [] if decides is None else [Reason("tolerance_decides", decides)]
+    tolerance = match.posterior.beyond_tolerance(recording.name, level)
+    problems = [] if tolerance is None else [Reason("tolerance_decides", tolerance)]
     if contradicted := match.posterior.contradicted_together():
-        against.append(Reason("sheet_contradicted", {"names": contradicted[:4]}))
+        problems.append(Reason("sheet_contradicted", {"names": contradicted[:4]}))
     if not (repeating or match.joint.explained or match.allows_for_misfit):
-        against.append(Reason("unexplained"))
+        problems.append(Reason("unexplained"))
     misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
     if misfit and match.joint.could_be:
         misfit["could_be"] = list(match.joint.could_be)
     if misfit and not match.allows_for_misfit:
-        # What nothing explains pulls at values of the bench too: they are no cause of it.
-        against.insert(0, Reason("repeats_beyond_noise", misfit))
-    # Where δ is not seen, its prior's range may decide: that needs no saying.
+        # A misfit that nothing explains also biases bench parameters: they are not its cause.
+        problems.insert(0, Reason("repeats_beyond_noise", misfit))
+    # If δ is not seen, the range of its prior may decide; that needs no extra reason.
     unseen = unseen_gap(match.posterior, index) or unknown_start(fit, index)
-    reasons = [*against, *([unseen] if unseen else sampling_reasons(match.posterior.diagnostics))]
+    reasons = [*problems, *([unseen] if unseen else sampling_reasons(match.posterior.diagnostics))]
     answered = outcome_of(reasons) != "withheld"
     unknown = fit.model.unknowns[fit.model.index(GAP, recording.name)]
     ends = excluded_ends(match.posterior, recording.name)
@@ -348,8 +349,8 @@ def direct_reasons(
     if answered and lacking:
         reasons.append(Reason("bench_lacks", lacking))
     if answered and match.allows_for_misfit:
-        # One bench, one misfit: it is said once, with what it widens most.
-        places = [place for place, own in enumerate(fit.model.unknowns) if own.name == GAP]
+        # The bench has one misfit: it is reported once, with the largest widening.
+        places = [place for place, u in enumerate(fit.model.unknowns) if u.name == GAP]
         wider = float(match.posterior.model_widening[places].max())
         code = "allows_for_misfit" if misfit else "negative_law"
         reasons.append(Reason(code, {**misfit, "times": wider}))
@@ -382,15 +383,15 @@ def _numbers(
     index: int,
     check: Sequence[RepeatingPower],
     groups: Mapping[str, xr.Dataset],
-    of: IntervalConfig,
+    section: IntervalConfig,
 ) -> dict[str, Any]:
-    """The contract's keys, and beside them the bound and the predictive check."""
+    """The snapshot's keys of the summary, with the bound and the predictive check."""
     optimum, drawn = groups["optimum"], groups["posterior"]
     names = list(own_unknowns(posterior, recording.name))
     noise = posterior.fit.model.noise[index]
     sd = groups["noise"]["sd"].values.tolist()
     numbers: dict[str, Any] = {
-        "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), of),
+        "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), section),
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
         "posterior_sd": {n: float(drawn[n].std()) for n in names},
@@ -419,34 +420,34 @@ def _numbers(
     return numbers
 
 
-# What is said of the joint: items, findings, blind spots.
+# What is reported of the joint: items, findings, blind spots.
 
 
 def check_of_snapshot(findings: JointFindings, recording: str) -> JointCheck:
-    """One recording against its bench."""
-    own = [c for c in findings.changed if c.recording in (None, recording)]
+    """Compare one recording with its bench."""
+    changed = [c for c in findings.changed if c.recording in (None, recording)]
     allowed = [c for c in findings.allowed if c.recording in (None, recording)]
     return joint_check(
-        findings.explained and not own,
-        [_check_item(c) for c in (*own, *allowed)],
-        findings.could_be if own else (),
+        findings.explained and not changed,
+        [_check_item(c) for c in (*changed, *allowed)],
+        findings.could_be if changed else (),
     )
 
 
 def check_of_comparison(
     joint: JointFindings, change_rad: FloatArray, level: float, *, is_given: bool
 ) -> JointCheck:
-    """The recordings against one another, with what none of them would show.
+    """Compare the recordings with one another, and list changes that none of them would show.
 
-    ``change_rad``: draws of the change of δ from the first to the last; ``is_given``: it is not
-    withheld.
+    ``change_rad``: draws of the change of δ from the first to the last; ``is_given``: whether the
+    change is reported.
     """
     between = joint.between
     findings = [{"code": "parameter_changed", **_change_values(c)} for c in between]
     if between:
-        alike = {"code": "would_look_the_same", "names": _alike(joint, between)}
-        given = {"code": "change_allows_for_it"}
-        findings[-1]["also"] = [alike] * bool(alike["names"]) + [given] * is_given
+        lookalike = {"code": "would_look_the_same", "names": _alike(joint, between)}
+        allowed = {"code": "change_allows_for_it"}
+        findings[-1]["also"] = [lookalike] * bool(lookalike["names"]) + [allowed] * is_given
     return joint_check(
         joint.explained and not between,
         [_check_item(c) for c in between],
@@ -468,7 +469,7 @@ def check_of_comparison(
 
 
 def bench_lacks(findings: JointFindings) -> dict[str, Any]:
-    """What no recording has as the bench has it, for its sentence; empty where all is as it has."""
+    """Parameters that differ from the bench in every recording, for the sentence; empty if none."""
     changed = findings.beyond_bench
     if not changed:
         return {}
@@ -476,7 +477,7 @@ def bench_lacks(findings: JointFindings) -> dict[str, Any]:
 
 
 def _alike(findings: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
-    """What the recordings cannot tell from what changed."""
+    """Names that the recordings cannot distinguish from the changed parameters."""
     freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
     freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
     return [name for name in findings.could_be if name not in freed]
@@ -503,7 +504,7 @@ def _width(draws_rad: FloatArray, level: float) -> float:
 
 
 def prepare(config: SnapshotConfig) -> DirectMeasurer:
-    """With its bench."""
+    """Create the measurer with its bench."""
     return DirectMeasurer(config, bench_of(config))
 
 
@@ -513,7 +514,7 @@ DELTA = shared.DELTA.name
 
 
 DRIFT = "drift__"
-"""Before the name of what may have drifted since the first snapshot."""
+"""Prefix of parameters that may have drifted since the first snapshot."""
 
 
 def result_name(unknown: Unknown) -> str:
@@ -528,26 +529,26 @@ OF_NO_BENCH = {
     START_ANGLE: "load angle at the first sample, 0 hangs straight down",
     REFERENCE_DELAY: "how much later the controller was given its reference than is recorded",
 }
-"""Unknowns that are neither of a bench file nor learned, by their names in results."""
+"""Unknowns that are neither in a bench file nor learned, by their names in results."""
 
 
 def unit_and_meaning(name: str) -> tuple[str, str]:
-    """Unit and long name of an unknown by its name in results."""
+    """Unit and long name of an unknown, by its name in results."""
     if name.startswith(DRIFT):
         unit, meaning = unit_and_meaning(name.removeprefix(DRIFT))
         return unit, f"change since the first snapshot of: {meaning}"
-    block, _, own = name.partition("__")
+    block, _, slot = name.partition("__")
     if block in (LEARNED_TORQUE, ENCODER_ERROR):
-        what = block.replace("_", " ")
-        if own.startswith("shift"):
-            return "1", f"where the variable of the {what} is at the first sample, rad or s"
-        return "rad" if block == ENCODER_ERROR else "N m", f"coefficient of the {what}: {own}"
+        kind = block.replace("_", " ")
+        if slot.startswith("shift"):
+            return "1", f"where the variable of the {kind} is at the first sample, rad or s"
+        return "rad" if block == ENCODER_ERROR else "N m", f"coefficient of the {kind}: {slot}"
     meaning = OF_NO_BENCH.get(name) or declaration_of(name).meaning
-    return unit_of(name) or "1", f"{meaning} of {block}" if own else meaning
+    return unit_of(name) or "1", f"{meaning} of {block}" if slot else meaning
 
 
 def _unknown(*dims: str) -> Callable[[str], Variable]:
-    """Declares each unknown by its name in results."""
+    """Return a function that declares an unknown, given its name in results."""
     return lambda name: Variable(name, dims, *unit_and_meaning(name))
 
 
@@ -633,7 +634,7 @@ def direct_groups(
     index
         Place of the recording in the posterior's model.
     generator
-        Of what prior and posterior predict.
+        For the predictions of prior and posterior.
     """
     model = posterior.fit.model
     observation, noise = model.recordings[index], model.noise[index]
@@ -667,7 +668,7 @@ def direct_groups(
 
 
 def own_unknowns(posterior: DirectPosterior, recording: str) -> dict[str, int]:
-    """Name in results to place in a point, of everything that a recording depends on."""
+    """Name in results → index in a point, of all unknowns that a recording depends on."""
     return {
         result_name(u): i
         for i, u in enumerate(posterior.fit.model.unknowns)
@@ -685,14 +686,16 @@ def _draws(posterior: DirectPosterior, recording: str, points: FloatArray) -> di
 def _noise_only(
     posterior: DirectPosterior, index: int, generator: np.random.Generator
 ) -> dict[Group, object]:
-    """Bench and noise alone as a model: prior, posterior, and what both predict."""
+    """Prior, posterior and predictions of the model with bench and noise alone."""
     model = posterior.fit.model
     observation, noise = model.recordings[index], model.noise[index]
     chains, count, d = posterior.draws.shape
 
     def predicted(points: FloatArray) -> dict[str, FloatArray]:
-        few = points.reshape(-1, d)[: chains * shared.REPLICATES]
-        speeds = model.signals(few, index) + noise.draw(observation.samples, len(few), generator)
+        selected = points.reshape(-1, d)[: chains * shared.REPLICATES]
+        speeds = model.signals(selected, index) + noise.draw(
+            observation.samples, len(selected), generator
+        )
         channels = dict(zip(observation.channels, speeds.swapaxes(0, 1), strict=True))
         return shared.replicates(chains, channels)
 
@@ -706,12 +709,12 @@ def _noise_only(
     draws = posterior.noise_only.draws
     densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
     places = own_unknowns(posterior, observation.name)
-    few = draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES]
+    selected = draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES]
     return groups | {
         OF_NOISE["noise_posterior"]: _draws(posterior, observation.name, draws),
         shared.LOG_LIKELIHOOD: {"recording": posterior.noise_only.log_likelihood[index]},
         OF_NOISE["log_prior"]: {name: densities[..., i] for name, i in places.items()},
-        shared.POSTERIOR_PREDICTIVE: predicted(few),
+        shared.POSTERIOR_PREDICTIVE: predicted(selected),
     }
 
 
@@ -729,7 +732,7 @@ def _predictive(posterior: DirectPosterior, index: int) -> dict[str, object]:
 
 
 def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
-    """What a motion has beside: its reference, what was compared, its changes of flank."""
+    """Variables of a motion only: its reference, the compared part, its changes of flank."""
     observation = fit.model.recordings[index]
     if observation.motion is None:
         return {}
@@ -750,7 +753,7 @@ def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
 
 
 def _optimum(posterior: DirectPosterior, recording: str) -> dict[str, object]:
-    """Values at the optimum; the bound in each parameter's own unit, of δ in rad."""
+    """Values at the optimum; bounds in the unit of each parameter, rad for δ."""
     fit = posterior.fit
     places = own_unknowns(posterior, recording)
     values = {name: float(fit.model.unknowns[i].value(fit.point[i])) for name, i in places.items()}
@@ -768,17 +771,17 @@ def _optimum(posterior: DirectPosterior, recording: str) -> dict[str, object]:
 
 
 def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
-    """Shares of the variance of ln δ: by noise, were the bench known exactly; by laws that it may
-    lack and by drift; the rest by what it states with a tolerance."""
+    """Shares of the variance of ln δ by source: noise (at a known bench), laws that the bench may
+    lack together with drift, and the tolerances of the bench."""
     fit = posterior.fit
-    place = own_unknowns(posterior, recording)[DELTA]
-    model_share = 1.0 - min(1.0, float(posterior.model_widening[place]) ** -2.0)
+    gap_index = own_unknowns(posterior, recording)[DELTA]
+    model_share = 1.0 - min(1.0, float(posterior.model_widening[gap_index]) ** -2.0)
     free = np.array([i for i, u in enumerate(fit.model.unknowns) if u.recording is not None])
     if free.size == len(fit.model.unknowns):
         return {"noise": 1.0 - model_share, "laws_and_drift": model_share}
-    known = fit.curvature + fit.model.prior_precision()
-    alone = np.linalg.inv(known[np.ix_(free, free)])
-    noise = float(alone[list(free).index(place), list(free).index(place)])
-    # Draws of which one carries all weight have no variance.
-    share = min(1.0 - model_share, noise / max(float(posterior.draws[..., place].var()), noise))
+    precision = fit.curvature + fit.model.prior_precision()
+    known_bench_covariance = np.linalg.inv(precision[np.ix_(free, free)])
+    noise = float(known_bench_covariance[list(free).index(gap_index), list(free).index(gap_index)])
+    # If one draw carries all the weight, the variance is 0.
+    share = min(1.0 - model_share, noise / max(float(posterior.draws[..., gap_index].var()), noise))
     return {"noise": share, "laws_and_drift": model_share, "bench": 1.0 - model_share - share}

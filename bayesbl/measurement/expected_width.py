@@ -1,8 +1,8 @@
-"""How precisely recordings would give the gap, by their bench and their noise, before any fit.
+"""Expected uncertainty of the gap, from bench and noise of recordings, before any fit.
 
-Near the truth everything is linear, so the width of a posterior is known from the derivatives of
-the simulation and the noise, which rotations of a recording show by how they differ. Laws that the
-bench may lack and drift are in it, as they are in an answer; a bench that is wrong is not.
+The posterior is linearised at the true value. Its width follows from the derivatives of the
+simulation and from the noise, which is estimated from the differences between rotations. Laws that
+the bench may lack and drift are included, as in an answer. The error of a wrong bench is not.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.model_search.always_in import Direction, linearised_fit
 
 DRAWS = 1000
-"""Of what is marginalised: they tell a standard deviation to 2 %."""
+"""Draws of the marginalised directions: they give a standard deviation to 2 %."""
 
 
 def expected_sds(
@@ -32,24 +32,24 @@ def expected_sds(
     among: Sequence[Direction],
     gaps_rad: Sequence[float],
 ) -> list[ExpectedSd]:
-    """What an answer would be known to, at each of these gaps.
+    """Expected posterior standard deviations at each of these gaps.
 
     Parameters
     ----------
     recordings
-        At constant speed; only their noise, length and speed count.
+        At constant speed; only their noise, length and speed matter.
     unknowns, among
-        Of a fit, with a gap for each recording, and what is marginalised beside it.
+        Unknowns of a fit, with a gap for each recording, and the directions marginalised with them.
 
     Raises
     ------
     RecordingError
-        If a recording is too short to tell its noise.
+        If a recording is too short to estimate its noise.
     SimulationError
         If the bench cannot be simulated at one of the gaps.
     """
     noise = [noise_of(observations, observations.signals) for observations in recordings]
-    observations = [marginalising_motor_lines(one, bench) for one in recordings]
+    observations = [marginalising_motor_lines(recording, bench) for recording in recordings]
     model = SimulatedSignals(bench, observations, unknowns, noise, 1)
     return [_at(model, gap_rad, among) for gap_rad in gaps_rad]
 
@@ -59,12 +59,12 @@ def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> 
     point = np.array([_expected_value(unknown) for unknown in model.unknowns])
     point[gaps] = [float(model.unknowns[k].coordinate(np.array(gap_rad))) for k in gaps]
     model.require(point)
-    # As if the recordings were the simulation's own, so that nothing is left but noise.
-    own = [
+    # Use the simulation itself as data, so that the residuals are zero.
+    simulated = [
         replace(observation, signals=model.signals(point, place)[0])
         for place, observation in enumerate(model.recordings)
     ]
-    fit = fit_at(replace(model, recordings=own), point)
+    fit = fit_at(replace(model, recordings=simulated), point)
     drawn = linearised_fit(fit, among).posterior.draw(np.random.default_rng(0), DRAWS).shift
     covariance = fit.covariance + np.cov(drawn.T)
     slope_rad = float(model.unknowns[gaps[0]].slope(np.array(gap_rad)))
@@ -80,7 +80,8 @@ def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> 
 
 
 def _expected_value(unknown: Unknown) -> float:
-    """Of what is at least none, its prior's mean: at none its other side would be missed."""
+    """Mean of the prior for a one-sided unknown, else its middle. At its bound, derivatives toward
+    the other side would be missed."""
     if unknown.low == unknown.centre and math.isfinite(unknown.sd):
         return unknown.centre + unknown.sd * math.sqrt(2.0 / math.pi)
     return unknown.middle

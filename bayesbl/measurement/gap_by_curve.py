@@ -1,8 +1,8 @@
-"""From posteriors of the ringing to draws of δ.
+"""Convert posteriors of the ringing to draws of δ.
 
-Where the gap of a snapshot is known otherwise, the curve only has to be right in its form: draws of
-every δ are scaled by the known gap over the curve's. What is wrong with the curve or with its bench
-by a factor then cancels.
+If the gap of a snapshot is known from another measurement, draws of every δ are scaled by known gap
+/ gap by the curve. A constant factor by which curve or bench are wrong then cancels, so only the
+shape of the curve must be right.
 """
 
 from __future__ import annotations
@@ -23,21 +23,19 @@ from bayesbl.sampling.importance import effective_size, resampled
 LARGEST_SHARE_OUTSIDE = 0.01
 CANDIDATES_PER_DRAW = 20
 FALSE_ALARM = 0.005
-"""Of a ringing that contradicts the bench, over the snapshots of a run."""
+"""Probability of calling a consistent ringing a contradiction, over the snapshots of a run."""
 
 CONTRADICTED = "ringing_contradicts_bench"
-"""Code of the reason that frequency and decay are not those of the curve's bench."""
+"""Code of the reason that frequency and decay contradict the curve's bench."""
 
 FEWEST_EFFECTIVE = 200.0
-"""Effective curve draws below which the ringing is not used to weigh them.
-
-At 200 the actual level of a 90 % interval is 90 ± 2 %: √(p (1 − p)/n).
-"""
+"""Fewest effective curve draws for which the ringing is used to weight them. At 200 the actual
+level of a 90 % interval is 90 ± 2 %: √(p (1 − p)/n)."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredRinging:
-    """What one snapshot's fit says of (A, ln ω, ln τ).
+    """What one snapshot's fit measured of (A, ln ω, ln τ).
 
     Attributes
     ----------
@@ -46,7 +44,7 @@ class MeasuredRinging:
     centre
         Optimum of (A, ln ω, ln τ), shape (3,).
     covariance
-        Of these three, shape (3, 3).
+        Covariance of these three, shape (3, 3).
     """
 
     amplitude_rpm: FloatArray
@@ -63,22 +61,24 @@ class Gap:
     delta_rad
         Draws of δ, shape (chain, draw), rad.
     index
-        Which of the snapshot's posterior draws, flattened over (chain, draw), each draw of δ
-        belongs to, shape (chain, draw): weighting moves all symbols, not δ alone.
+        For each draw of δ, the posterior draw it belongs to (flattened over (chain, draw)), shape
+        (chain, draw). Weighting resamples all symbols, not δ alone.
     outside_curve
         −1, 0, +1 for draws of A below, inside, above the curve's range, shape (chain, draw).
     curve_amplitude_rpm
-        What was put through the curve: A with its scatter over start angles, shape (chain, draw).
+        Amplitude that the curve was evaluated at: A with its scatter over start angles, shape
+        (chain, draw).
     rows
-        By source of the curve's uncertainty, which of its draws, shape (chain, draw).
+        For each source of the curve's uncertainty, the curve draw used, shape (chain, draw).
     curve_scale
-        By which δ of the curve was multiplied, shape (chain, draw); ``None`` without a known gap.
+        Factor by which δ of the curve was multiplied, shape (chain, draw); ``None`` without a known
+        gap.
     budget
         Share of the variance of ln δ by source; sums to 1.
     reasons
         Why δ is withheld.
     notes
-        What else the reader should know of how δ came about.
+        Other remarks on how δ was computed.
     """
 
     delta_rad: FloatArray
@@ -93,7 +93,7 @@ class Gap:
 
     @property
     def upper_bound_rad(self) -> float | None:
-        """The gap that δ is below with 95 %, where the curve does not reach down to it."""
+        """Upper bound of δ at 95 %, if some draws of A lie below the curve's range."""
         if float(np.mean(self.outside_curve < 0.0)) < LARGEST_SHARE_OUTSIDE:
             return None
         return upper_bound(self.delta_rad)
@@ -108,60 +108,60 @@ def gaps(
     allow_extrapolation: bool = False,
     level: float = 0.9,
 ) -> list[Gap]:
-    """δ of every snapshot of one joint, each through its curve, all through the same draws of it.
+    """Convert the ringing of every snapshot of one joint to δ, all with the same curve draws.
 
-    Curves of one bench at other speeds or rates have the same draws of the bench in the same order,
-    so a draw is of one bench for all; what else is uncertain of two curves is independent.
+    Curves of one bench at different speeds or rates share the draws of the bench in the same order,
+    so each draw is one bench for all. Other uncertainties of two curves are independent.
 
-    Importance sampling: each draw of A is put through several draws of the curve, start-angle
-    scatter drawn per snapshot, and then resampled with weights. The weights carry the prior, flat
-    in ln δ, by its Jacobian d ln δ/dA; and, for a curve with bench draws, how well the bench that
-    a draw stands for explains the frequency and decay that were measured beside A.
+    Importance sampling: each draw of A is evaluated on several draws of the curve, with start-angle
+    scatter drawn per snapshot, and then resampled with weights. The weights contain the prior, flat
+    in ln δ, by its Jacobian d ln δ/dA. For a curve with bench draws they also contain the
+    likelihood of the measured frequency and decay, given the drawn bench.
 
     Parameters
     ----------
     curves
-        One for all snapshots, or each one's own of one bench.
+        One for all snapshots, or one per snapshot, all of one bench.
     known
-        Of each snapshot, what else measured its gap; nothing for none of any.
+        The known gap of each snapshot or ``None``; empty if no gap is known.
     level
-        Of the one-sided bound that a withheld answer gives.
+        Level of the one-sided bound of a withheld answer.
     """
     if isinstance(curves, GapCurve):
         curves = [curves] * len(snapshots)
     shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
     (known_seed,) = pick_seed.spawn(1)
     chains, count = snapshots[0].amplitude_rpm.shape
-    rings = all(curve.ringing is not None for curve in curves)
-    narrows = rings and all("bench" in curve.sources for curve in curves)
-    copies = CANDIDATES_PER_DRAW if narrows else 1
+    has_ringing = all(curve.ringing is not None for curve in curves)
+    can_weight = has_ringing and all("bench" in curve.sources for curve in curves)
+    copies = CANDIDATES_PER_DRAW if can_weight else 1
     total = chains * count * copies
     shared = _shared_draws(curves, total, np.random.default_rng(shared_seed))
     amplitudes = [
-        _scattered(curve, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(own))
-        for curve, s, own in zip(curves, snapshots, own_seeds, strict=True)
+        _scattered(c, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(child))
+        for c, s, child in zip(curves, snapshots, own_seeds, strict=True)
     ]
     prior = np.sum([_log(c.log_slope(a)) for c, a in zip(curves, amplitudes, strict=True)], axis=0)
     weights, notes = prior, tuple[Reason, ...]()
-    against = [False] * len(snapshots)
-    if rings:
+    contradictions = [False] * len(snapshots)
+    if has_ringing:
         matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
-        least = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
-        against = [
-            bool(-2.0 * match.max() > least and _is_inside(curve, amplitude))
+        threshold = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
+        contradictions = [
+            bool(-2.0 * match.max() > threshold and _is_inside(curve, amplitude))
             for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
         ]
-        matched = prior + np.sum(matches, axis=0)
-        effective = effective_size(matched)
-        if narrows and effective >= FEWEST_EFFECTIVE:
-            weights = matched
-        elif narrows and not any(against):
+        posterior_weights = prior + np.sum(matches, axis=0)
+        effective = effective_size(posterior_weights)
+        if can_weight and effective >= FEWEST_EFFECTIVE:
+            weights = posterior_weights
+        elif can_weight and not any(contradictions):
             notes = (Reason("few_curve_draws", {"effective": float(effective), "total": total}),)
-    own = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
-    index = (own + weights.size // chains * np.arange(chains)[:, None]).ravel()
+    sampled = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
+    index = (sampled + weights.size // chains * np.arange(chains)[:, None]).ravel()
     chosen = [draws.take(index) for draws in shared]
-    through = [candidates[index] for candidates in amplitudes]
-    by_curve = [own.gap(amplitude) for own, amplitude in zip(chosen, through, strict=True)]
+    chosen_amplitudes = [candidates[index] for candidates in amplitudes]
+    by_curve = [draws.gap(a) for draws, a in zip(chosen, chosen_amplitudes, strict=True)]
     calibration = Calibration.of(known, by_curve, np.random.default_rng(known_seed))
     scale = np.ones(index.size) if calibration is None else calibration.scale
     if calibration is not None:
@@ -169,10 +169,10 @@ def gaps(
         if not calibration.agrees:
             notes += (Reason("known_gaps_disagree"),)
     result = []
-    for curve, own_draws, amplitude, by_own, contradiction in zip(
-        curves, chosen, through, by_curve, against, strict=True
+    for curve, curve_draws, amplitude, curve_gap, contradiction in zip(
+        curves, chosen, chosen_amplitudes, by_curve, contradictions, strict=True
     ):
-        delta = (scale * by_own).reshape(chains, count)
+        delta = (scale * curve_gap).reshape(chains, count)
         outside = curve.outside(amplitude).reshape(chains, count)
         reasons = [Reason(CONTRADICTED)] if contradiction else []
         if not allow_extrapolation:
@@ -184,7 +184,7 @@ def gaps(
                 (index // copies).reshape(chains, count),
                 outside,
                 amplitude.reshape(chains, count),
-                {name: rows.reshape(chains, count) for name, rows in own_draws.rows.items()},
+                {name: rows.reshape(chains, count) for name, rows in curve_draws.rows.items()},
                 None if calibration is None else scale.reshape(chains, count),
                 {},
                 tuple(reasons),
@@ -198,15 +198,15 @@ def gaps(
 def _shared_draws(
     curves: Sequence[GapCurve], count: int, generator: np.random.Generator
 ) -> list[CurveDraws]:
-    """Draws of each curve, the same for the same curve and of the same benches for all."""
-    made = {id(curves[0]): curves[0].draw(count, generator)}
-    (first,) = made.values()
+    """Draws of each curve; equal curves share all draws, different ones the bench draws."""
+    drawn = {id(curves[0]): curves[0].draw(count, generator)}
+    (first,) = drawn.values()
     for curve in curves[1:]:
-        if id(curve) not in made:
-            own = curve.draw(count, generator)
-            bench = {name: rows for name, rows in first.rows.items() if name == "bench"}
-            made[id(curve)] = CurveDraws(curve, {**own.rows, **bench})
-    return [made[id(curve)] for curve in curves]
+        if id(curve) not in drawn:
+            draws = curve.draw(count, generator)
+            bench_rows = {name: rows for name, rows in first.rows.items() if name == "bench"}
+            drawn[id(curve)] = CurveDraws(curve, {**draws.rows, **bench_rows})
+    return [drawn[id(curve)] for curve in curves]
 
 
 def _scattered(
@@ -219,11 +219,9 @@ def _scattered(
 def _log_match(
     draws: CurveDraws, snapshot: MeasuredRinging, amplitude_rpm: FloatArray
 ) -> FloatArray:
-    """ln p(ω, τ measured | A, bench draw), shape (count,), up to a constant.
-
-    Normal, with the covariance of the fit and of the start angle; conditional on A, which is
-    already drawn from its own posterior.
-    """
+    """ln p(ω, τ measured | A, bench draw), shape (count,), up to a constant. Normal, with the
+    covariance of the fit and of the start angle. It is conditional on A, which is already drawn
+    from its own posterior."""
     curve = draws.curve
     ringing = curve.ringing
     assert ringing is not None
@@ -231,11 +229,11 @@ def _log_match(
     covariance = snapshot.covariance + ringing.scatter[nearest]
     gain = covariance[1:, 0] / covariance[0, 0]
     conditional = covariance[1:, 1:] - np.outer(gain, covariance[0, 1:])
-    every = np.zeros(amplitude_rpm.size, dtype=np.int64)
-    of_bench = draws.rows.get("bench", every)
+    first_row = np.zeros(amplitude_rpm.size, dtype=np.int64)
+    bench_rows = draws.rows.get("bench", first_row)
     expected = [
-        interpolate_rows(curve.knots_rpm, nominal[None], every, amplitude_rpm)
-        + interpolate_rows(curve.knots_rpm, departures, of_bench, amplitude_rpm)
+        interpolate_rows(curve.knots_rpm, nominal[None], first_row, amplitude_rpm)
+        + interpolate_rows(curve.knots_rpm, departures, bench_rows, amplitude_rpm)
         for nominal, departures in (
             (ringing.log_frequency, ringing.frequency_draws),
             (ringing.log_decay, ringing.decay_draws),
@@ -249,7 +247,7 @@ def _log_match(
 
 
 def _is_inside(curve: GapCurve, amplitude_rpm: FloatArray) -> bool:
-    """Whether the sweep tells how the bench rings there."""
+    """Whether the sweep covers this amplitude, so that its ringing is known there."""
     return float(np.mean(curve.outside(amplitude_rpm) != 0.0)) < LARGEST_SHARE_OUTSIDE
 
 
@@ -260,7 +258,7 @@ def _log(values: FloatArray) -> FloatArray:
 def _extrapolation(
     range_rad: tuple[float, float], outside: FloatArray, delta_rad: FloatArray, level: float
 ) -> list[Reason]:
-    """Why an answer beyond the curve's range is withheld, with a bound in its place."""
+    """Why an answer outside the curve's range is withheld, with a one-sided bound."""
     share = float(np.mean(outside != 0.0))
     if share < LARGEST_SHARE_OUTSIDE:
         return []
@@ -277,18 +275,18 @@ def _extrapolation(
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What known gaps say of the scale of a joint's curves.
+    """Scale of a joint's curves, from its known gaps.
 
     Attributes
     ----------
     scale
-        Draws of it, shape (n,).
+        Draws of the scale, shape (n,).
     weights
-        Of each snapshot's ln δ by its curve in ln scale, shape (snapshots,); 0 where none is known.
+        Weight of each snapshot's ln δ in ln scale, shape (snapshots,); 0 where no gap is known.
     known_variance
-        Of ln scale by the known gaps alone.
+        Variance of ln scale due to the known gaps alone.
     agrees
-        Whether the known gaps are on one curve.
+        Whether the known gaps are consistent with one curve.
     """
 
     scale: FloatArray
@@ -303,25 +301,25 @@ class Calibration:
         by_curve: Sequence[FloatArray],
         generator: np.random.Generator,
     ) -> Calibration | None:
-        """``by_curve``: draws of each snapshot's δ, (n,) each; ``None`` if nothing is known."""
-        given = {k: gap for k, gap in enumerate(known) if gap is not None}
-        if not given:
+        """Scale by ``by_curve``, draws (n,) of each snapshot's δ; ``None`` if no gap is known."""
+        stated = {k: gap for k, gap in enumerate(known) if gap is not None}
+        if not stated:
             return None
-        relative_sd = np.array([gap.sd_rad / gap.delta_rad for gap in given.values()])
+        relative_sd = np.array([gap.sd_rad / gap.delta_rad for gap in stated.values()])
         share = relative_sd**-2.0 / np.sum(relative_sd**-2.0)
-        noise = relative_sd[:, None] * generator.standard_normal((len(given), by_curve[0].size))
-        centre = np.log([gap.delta_rad for gap in given.values()])
-        log_scales = centre[:, None] + noise - np.log([by_curve[k] for k in given])
+        noise = relative_sd[:, None] * generator.standard_normal((len(stated), by_curve[0].size))
+        centre = np.log([gap.delta_rad for gap in stated.values()])
+        log_scales = centre[:, None] + noise - np.log([by_curve[k] for k in stated])
         weights = np.zeros(len(by_curve))
-        weights[list(given)] = share
+        weights[list(stated)] = share
         log_scale = share @ log_scales
         departures = log_scales - log_scale
-        limit = normal_isf(0.5 * FALSE_ALARM / len(given)) * departures.std(axis=1)
+        tolerance = normal_isf(0.5 * FALSE_ALARM / len(stated)) * departures.std(axis=1)
         return cls(
             np.exp(log_scale),
             weights,
             float(share**2 @ relative_sd**2),
-            len(given) == 1 or bool(np.all(np.abs(departures.mean(axis=1)) <= limit)),
+            len(stated) == 1 or bool(np.all(np.abs(departures.mean(axis=1)) <= tolerance)),
         )
 
 
@@ -330,30 +328,29 @@ def _budgets(
     amplitudes_rpm: Sequence[FloatArray],
     calibration: Calibration | None,
 ) -> list[dict[str, float]]:
-    """Of each snapshot the variance of ln δ with one source at work at a time, as shares.
-
-    Of the ln δ of all curves that go into it: its own, and through its scale those of known gaps.
-    """
+    """For each snapshot, shares of the variance of ln δ with one source active at a time. The
+    variance includes the snapshot's ln δ and, through the scale, that of snapshots with known
+    gaps."""
     weights = np.zeros(len(chosen)) if calibration is None else calibration.weights
-    none = np.zeros(1)
-    alone = [_one_at_a_time(*each) for each in zip(chosen, amplitudes_rpm, strict=True)]
+    zero = np.zeros(1)
+    one_source = [_one_at_a_time(*each) for each in zip(chosen, amplitudes_rpm, strict=True)]
     budgets: list[dict[str, float]] = []
-    for k, (own, (scatter, sources)) in enumerate(zip(chosen, alone, strict=True)):
+    for k, (curve_draws, (scatter, sources)) in enumerate(zip(chosen, one_source, strict=True)):
         if not sources:
             budgets.append({})
             continue
         factors = -weights
         factors[k] += 1.0
-        acting = [(f, a) for f, a in zip(factors, alone, strict=True) if f]
+        active = [(f, a) for f, a in zip(factors, one_source, strict=True) if f]
         variances = {
-            name: _variance(sum((f * logs.get(name, none) for f, (_, logs) in acting), start=none))
+            name: _variance(sum((f * logs.get(name, zero) for f, (_, logs) in active), start=zero))
             for name in sources
         }
         if scatter > 0.0:
-            variances["start_angle"] = sum((f * sd) ** 2 for f, (sd, _) in acting)
+            variances["start_angle"] = sum((f * sd) ** 2 for f, (sd, _) in active)
         if calibration is not None:
             variances["known_gap"] = calibration.known_variance
-        order = ["noise", "start_angle", *own.rows, "known_gap"]
+        order = ["noise", "start_angle", *curve_draws.rows, "known_gap"]
         total = sum(variances.values())
         budgets.append({n: variances[n] / total if total else 0.0 for n in order if n in variances})
     return budgets
@@ -362,16 +359,16 @@ def _budgets(
 def _one_at_a_time(
     chosen: CurveDraws, amplitude_rpm: FloatArray
 ) -> tuple[float, dict[str, FloatArray]]:
-    """Standard deviation of ln δ by the start angle, and draws of ln δ by each other source."""
-    curve, middle = chosen.curve, float(np.median(amplitude_rpm))
-    if middle <= 0.0:
+    """Standard deviation of ln δ by the start angle, and draws of ln δ for each other source."""
+    curve, median = chosen.curve, float(np.median(amplitude_rpm))
+    if median <= 0.0:
         return 0.0, {}
-    slope = float(curve.log_slope(np.array(middle)))
-    alone = {"noise": curve.gap(amplitude_rpm.ravel())}
+    slope = float(curve.log_slope(np.array(median)))
+    delta_by_source = {"noise": curve.gap(amplitude_rpm.ravel())}
     for name, rows in chosen.rows.items():
-        alone[name] = chosen.only(name).gap(np.full(rows.size, middle))
-    scatter = slope * float(curve.start_angle_sd(np.array(middle)))
-    return scatter, {name: _log(delta_rad) for name, delta_rad in alone.items()}
+        delta_by_source[name] = chosen.only(name).gap(np.full(rows.size, median))
+    scatter = slope * float(curve.start_angle_sd(np.array(median)))
+    return scatter, {name: _log(delta_rad) for name, delta_rad in delta_by_source.items()}
 
 
 def _variance(log_gap: FloatArray) -> float:

@@ -1,7 +1,8 @@
 """What every route of measurement returns: its answer for each recording of one joint.
 
-An answer holds numbers, and reasons as codes with numbers; nothing here makes a sentence of its
-own. Several routes may answer the same recordings: one is *the* answer, the others stand beside it.
+An answer holds numbers, and reasons as codes with numbers; sentences are made elsewhere. Several
+routes may measure the same recordings. One of them is *the* answer, and the others are stored
+beside it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from bayesbl.sampling.convergence import Diagnostics, Flaw, Outcome
 
 @dataclass(frozen=True, slots=True)
 class Seeds:
-    """One seed sequence per stage, all spawned from the run's."""
+    """One seed sequence per stage, all spawned from the seed of the run."""
 
     curve: np.random.SeedSequence
     gap: np.random.SeedSequence
@@ -41,23 +42,24 @@ class Seeds:
 
     @classmethod
     def spawn(cls, seed: int, recordings: int) -> Seeds:
-        """The same seeds whatever the number of workers."""
+        """Spawn the seeds; they do not depend on the number of workers."""
         curve, gap, fits, direct, wear, predictive = np.random.SeedSequence(seed).spawn(6)
         return cls(curve, gap, tuple(fits.spawn(recordings)), direct, wear, predictive)
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Recordings to be measured, and who is to hear of it.
+    """Recordings to be measured, with seeds, progress callbacks and stores.
 
     Attributes
     ----------
     work
-        Keeps what is finished, and gives back what an earlier run had finished.
+        Stores finished steps, and returns those that an earlier run finished.
     say
-        Called with a sentence on what each search started from, if from an earlier optimum.
+        Called with a sentence on what each search started from, if it started from an earlier
+        optimum.
     swept
-        Keeps swept benches for this run and others.
+        Stores the rows of swept benches, for this run and others.
     """
 
     config: SnapshotConfig
@@ -70,12 +72,12 @@ class Task:
 
     @property
     def names(self) -> list[str]:
-        """Of the recordings, in their order."""
+        """Names of the recordings, in order."""
         return [recording.name for recording in self.recordings]
 
 
 def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
-    """The recording of an entry, ready for a fit.
+    """Read the recording of an entry and prepare it for a fit.
 
     Raises
     ------
@@ -104,7 +106,7 @@ def estimator_of(config: SnapshotConfig) -> Estimator:
 
 
 def sampler_of(config: SnapshotConfig) -> SamplerSettings:
-    """How a configuration has posteriors sampled."""
+    """The sampler settings of a configuration."""
     sampling = config.posterior
     return SamplerSettings(sampling.ensembles, sampling.max_steps, config.interval.level)
 
@@ -112,7 +114,7 @@ def sampler_of(config: SnapshotConfig) -> SamplerSettings:
 MeasurementOutcome = Outcome | Literal["no_curve"]
 
 UPPER_BOUND_LEVEL = 0.95
-"""Of the one-sided bound that is given where a gap is not told from none."""
+"""Probability of the one-sided bound that is reported if the gap may be zero."""
 
 
 OUTCOMES: Mapping[Outcome, str] = {
@@ -127,10 +129,8 @@ OUTCOMES: Mapping[Outcome, str] = {
         tolerance_decides gap_unseen start_unknown ramps_held nothing_told held_by_weight
         weight_unknown skew_or_play positions_exchanged known_gaps_disagree""",
 }
-"""Outcomes of an answer, the worst last, with the codes that bring it there, by whatever route.
-
-All other codes are of notes.
-"""
+"""Outcomes of an answer from best to worst, each with the codes that cause it on any route. All
+other codes are notes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,22 +139,22 @@ class Reason(Flaw):
 
     @classmethod
     def of_text(cls, code: str, text: str) -> Reason:
-        """One that a room below has already put into a sentence."""
+        """Make a reason from a sentence that a lower layer has already written."""
         return cls(code, {"text": text})
 
     @property
     def withholds(self) -> bool:
-        """Whether it withholds the answer."""
+        """Whether this reason withholds the answer."""
         return outcome_of([self]) == "withheld"
 
     @property
     def stored(self) -> dict[str, Any]:
-        """As the summary holds it, without its sentence."""
+        """The reason as ``summary.json`` stores it, without its sentence."""
         return {"code": self.code, **self.values}
 
 
 def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
-    """Why draws are not simply converged: failures withhold the answer, doubts limit it."""
+    """Reasons from the sampler: failures withhold the answer, doubts limit it."""
     codes = chain([diagnostics.code], repeat("sampling"))
     failed = zip(codes, diagnostics.failures, strict=False)
     flaws = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
@@ -162,13 +162,13 @@ def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
 
 
 def outcome_of(reasons: Iterable[Reason]) -> Outcome:
-    """Of an answer that has these."""
+    """The worst outcome that these reasons cause."""
     codes = {reason.code for reason in reasons}
-    return [o for o, bring in OUTCOMES.items() if o == "converged" or codes & {*bring.split()}][-1]
+    return [o for o, text in OUTCOMES.items() if o == "converged" or codes & {*text.split()}][-1]
 
 
 class CheckItem(TypedDict):
-    """A quantity as measured and as expected; ``z`` is their difference in standard deviations."""
+    """A measured and an expected value; ``z`` is their difference in standard deviations."""
 
     quantity: str
     measured: float
@@ -178,11 +178,11 @@ class CheckItem(TypedDict):
 
 
 class JointCheck(TypedDict):
-    """A snapshot against its bench, or snapshots against one another.
+    """Comparison of a snapshot with its bench, or of snapshots with one another.
 
-    ``could_be`` names effects or parameters of the bench that would explain what was found.
+    ``could_be`` names effects or parameters of the bench that would explain the differences.
     ``blind_spots`` are changes of the joint that the check cannot detect. Each has
-    ``delta_error_rad``, by how much it would move δ, if that is known. If nothing was compared,
+    ``delta_error_rad``: how far it would move δ, if that is known. If nothing was compared,
     ``items`` is empty and ``agrees`` true.
     """
 
@@ -194,7 +194,7 @@ class JointCheck(TypedDict):
 
 
 def check_item(quantity: str, measured: float, expected: float, unit: str, z: float) -> CheckItem:
-    """One quantity; ``unit`` of both values, empty for a pure number."""
+    """Make an item; ``unit`` is that of both values, empty for a pure number."""
     return {
         "quantity": quantity,
         "measured": measured,
@@ -211,7 +211,7 @@ def joint_check(
     findings: Iterable[Mapping[str, Any]] = (),
     blind_spots: Iterable[Mapping[str, Any]] = (),
 ) -> JointCheck:
-    """What was compared, nothing by default; ``could_be`` names each cause once."""
+    """Make a check, by default one that compared nothing; ``could_be`` names each cause once."""
     return {
         "agrees": agrees,
         "items": list(items),
@@ -222,17 +222,17 @@ def joint_check(
 
 
 def blind_spot(code: str, delta_error_rad: float | None = None, **values: object) -> dict[str, Any]:
-    """A change of the joint that a check cannot see, and what it would do to δ, where known."""
+    """A change of the joint that a check cannot detect, and the error of δ it causes, if known."""
     return {"code": code, **values, "delta_error_rad": delta_error_rad}
 
 
 NO_CURVE = Reason("no_curve")
-"""There is no δ for want of a curve; the ringing alone is an answer."""
+"""There is no δ because there is no curve; the ringing alone is an answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What one route says of one recording.
+    """The answer of one route for one recording.
 
     Attributes
     ----------
@@ -240,15 +240,15 @@ class Answer:
         Draws of δ, shape (chain, draw), paired by draw between the answers of a measurement;
         ``None`` without a curve.
     reasons
-        All that is to be known of the answer, the gravest first.
+        All reasons and notes of the answer, the gravest first.
     groups
-        What is stored of it, by name of the group.
+        The datasets to store, by name of the group.
     numbers
-        Its part of ``summary.json``, beside what every answer has.
+        The keys of ``summary.json`` that not every answer has.
     model_check
-        The recording against what the bench predicts at its gap.
+        Comparison of the recording with the bench's prediction at the measured gap.
     upper_bound_rad
-        δ is below it with a probability of 95 %, where it is not told from none.
+        Upper bound of δ at 95 % probability, if the gap may be zero.
     """
 
     name: str
@@ -261,12 +261,12 @@ class Answer:
 
     @property
     def outcome(self) -> Outcome:
-        """Whether it can be trusted."""
+        """Whether the answer is converged, usable or withheld."""
         return outcome_of(self.reasons)
 
     @property
     def withholding(self) -> list[Reason]:
-        """Why it is withheld; empty where it is not."""
+        """The reasons that withhold the answer; empty if none does."""
         return [reason for reason in self.reasons if reason.withholds]
 
     @property
@@ -277,32 +277,32 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Answers of one route for recordings of one joint, with those of others beside them.
+    """The answers of one route for the recordings of one joint, with other routes' beside them.
 
     Attributes
     ----------
     route
-        Name of the route that made it.
+        Name of the route that measured.
     answers
-        In order of time.
+        One per recording, in order of time.
     shared
-        What is stored of the route beside its answers, by name of the group.
+        The datasets of the route that belong to no single answer, by name of the group.
     curve
         Name of the gap curve; empty without one.
     warnings
-        Beside those of the recordings.
+        Warnings other than those of the recordings.
     attributes
-        Stored at the root of the result.
+        Attributes stored at the root of the result.
     ringing_change
-        Draws of the change of the ringing from first to last, as a share of the first.
+        Draws of the change of the ringing's amplitude from first to last, as a share of the first.
     same_joint
-        The recordings against one another.
+        Comparison of the recordings with one another.
     change_reason
-        Why the change between them is withheld, where its gaps are not.
+        Why the change between the recordings is withheld although the gaps are not.
     why
         Why this route is the one that answers.
     beside
-        What other routes answer.
+        Measurements by other routes.
     refused
         Why another route could not be run, by its name.
     """
@@ -322,9 +322,9 @@ class Measurement:
 
     @property
     def outcome(self) -> MeasurementOutcome:
-        """The worst of its answers' outcomes; withheld where the change alone is.
+        """The worst outcome of the answers; withheld if only the change is withheld.
 
-        ``no_curve`` where all is well but δ, for want of a curve.
+        ``no_curve`` if the only thing missing is δ, because there is no curve.
         """
         if self.change_reason is not None:
             return "withheld"
@@ -333,7 +333,7 @@ class Measurement:
 
     @property
     def without_gap(self) -> bool:
-        """Whether there is no δ, for want of a curve."""
+        """Whether δ is missing because there is no curve."""
         return any(answer.delta_rad is None for answer in self.answers)
 
     @property
@@ -344,9 +344,10 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class ExpectedSd:
-    """Posterior standard deviations at a gap that all recordings have, rad.
+    """Expected posterior standard deviations, rad, if all recordings have the gap ``gap_rad``.
 
-    ``change_rad``: of the change from the first recording to the last; ``None`` of one recording.
+    ``change_rad`` is that of the change from the first recording to the last; ``None`` for a single
+    recording.
     """
 
     gap_rad: float
@@ -360,36 +361,36 @@ def upper_bound(delta_rad: FloatArray) -> float:
 
 
 class Measurer(ABC):
-    """A route with what a configuration gives it; raises where it cannot use that."""
+    """A route, prepared from a configuration; raises if it cannot use what is configured."""
 
     gap_range_rad: tuple[float, float] | None = None
-    """Gaps that can be measured; ``None`` where none can."""
+    """Range of gaps that can be measured; ``None`` if none can."""
 
     def __init__(self, config: SnapshotConfig) -> None:
         self.config = config
 
     @abstractmethod
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
-        """What it needs beside recordings and curve, as label and text, which may raise."""
+        """Yield what the route uses besides recordings, as label and text function; may raise."""
 
     def read(self, entry: SnapshotRecording) -> Recording:
-        """The recording of a snapshot as this route takes it; raises where it cannot."""
+        """Read the recording of a snapshot as this route needs it; raises if it cannot."""
         return recording_of(entry, self.config)
 
     @abstractmethod
     def require_usable(self, recording: Recording) -> None:
-        """Raises where this recording cannot be measured."""
+        """Raise if this recording cannot be measured."""
 
     def doubts(self, recording: Recording) -> Iterable[Reason]:
-        """Why δ of this recording would be withheld, where that is known before it is measured."""
+        """Reasons, known before the measurement, why δ of this recording would be withheld."""
         return ()
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Raises where these cannot be compared; what they share, where that is worth saying."""
+        """Raise if the recordings cannot be compared; return what they share, if worth saying."""
         return None
 
     def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
-        """How precisely these would give δ, at a few gaps, where that is known before a fit."""
+        """Expected standard deviations at a few gaps, if they can be predicted before a fit."""
         return ()
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""What a motion shows of its gap, and what it does not."""
+"""What a motion shows of its gap."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from bayesbl.units import RPM_PER_RAD_PER_S
 
 EXCLUDED_END = 0.1
 EXCLUDED_SHARE = 0.01
-"""Less than this share of the posterior in this share of the range of ln δ, at an end: the
-recording excludes that end, and there is a bound. A flat posterior has a tenth there."""
+"""A recording excludes an end of the range of ln δ if the outer ``EXCLUDED_END`` of it holds less
+than ``EXCLUDED_SHARE`` of the posterior (a flat posterior: 0.1). Then δ has a bound."""
 
 REMEMBERED = 1.0
-"""χ² left of an unknown start in what is compared: one standard deviation of δ at most."""
+"""Largest χ² that an unknown start may leave: it moves δ by at most one standard deviation."""
 
 
 def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
-    """Why a motion does not tell δ of a recording, with the bound that it leaves; ``None`` if it
-    does, or turns at one speed."""
+    """Why a motion does not determine δ of a recording, with the bound it leaves; ``None`` if it
+    does or turns at constant speed."""
     fit = posterior.fit
     observation = fit.model.recordings[index]
     if observation.motion is None or flank_changes(fit, index):
@@ -46,7 +46,7 @@ def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
 
 
 def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:
-    """Why how a motion began keeps δ unknown; ``None`` if it does not."""
+    """Why the unknown start of a motion leaves δ unknown; ``None`` if it does not."""
     observation = fit.model.recordings[index]
     if (
         observation.motion is None
@@ -57,20 +57,20 @@ def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:
 
 
 def largest_pull(fit: SimulatedFit, index: int) -> float:
-    """Acceleration of the motor, rpm/s, that would lift the load off its flank where that is
-    easiest in this motion: N |m g l sin(θ + φ_g)| / J_l at its smallest."""
+    """Smallest motor acceleration, rpm/s, that would lift the load off its flank anywhere in this
+    motion: the minimum of N |m g l sin(θ + φ_g)| / J_l."""
     model, observation = fit.model, fit.model.recordings[index]
     assert observation.motion is not None
     row = model.vectors(fit.point[None], observation)[0]
     time = np.arange(observation.samples) / observation.sampling_hz
     angle = row[Slot.start_angle_rad] + observation.motion.position_rad(time) / row[Slot.gear_ratio]
     pull = np.abs(row[Slot.gravity_torque_nm] * np.sin(angle + row[Slot.gravity_angle_rad]))
-    least = row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2]
-    return float(least * RPM_PER_RAD_PER_S)
+    smallest = row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2]
+    return float(smallest * RPM_PER_RAD_PER_S)
 
 
 def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, bool]:
-    """Whether a recording excludes the lower, and the upper, end of the range of its δ."""
+    """Whether a recording excludes the lower and the upper end of the range of its δ."""
     model = posterior.fit.model
     place = model.index(GAP, recording)
     unknown, draws = model.unknowns[place], posterior.draws[..., place]
@@ -81,7 +81,7 @@ def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, boo
 
 
 def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
-    """What a reader has to know of how a motion was compared."""
+    """Yield notes on how a motion was compared."""
     observation = fit.model.recordings[index]
     if observation.motion is None:
         return
@@ -89,13 +89,13 @@ def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
         yield Reason("motion_once")
     if all(u.name != REFERENCE_DELAY for u in fit.model.unknowns):
         yield Reason("reference_held")
-    begin = observation.first_compared
-    stands = standstills(observation, fit.model.bench)[begin:]
+    first_compared = observation.first_compared
+    at_rest = standstills(observation, fit.model.bench)[first_compared:]
     if (
         observation.excluded is not None
-        and stands.any()
-        and observation.excluded[begin:][stands].all()
+        and at_rest.any()
+        and observation.excluded[first_compared:][at_rest].all()
     ):
         yield Reason("standstills_left_out")
-    if begin > 0:
-        yield Reason("start_left_out", {"begin_s": begin / observation.sampling_hz})
+    if first_compared > 0:
+        yield Reason("start_left_out", {"begin_s": first_compared / observation.sampling_hz})

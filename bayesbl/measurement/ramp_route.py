@@ -1,10 +1,10 @@
-"""From ramps of the motor's torque, with the output held, to the gap.
+"""The torque-ramp route: the gap from ramps of the motor's torque with the output held.
 
-δ is half of the play: half the width, at zero torque, between the positions that small ramps leave
-on either flank, less the unknown part that is compliance held by friction. See
-``docs/design.md``, "Torque ramps".
+δ is half of the play. The play is the distance, at zero torque, between the positions at which
+small ramps leave the joint on either flank, less the unknown part that is compliance held by
+friction. See ``docs/design.md``, "Torque ramps".
 
-What ramps leave between the flanks is the dead zone and the compliance that friction holds. Where
+The width between the flanks consists of the dead zone and the compliance that friction holds. If
 that compliance changed from the first recording to the last, the width changes without wear.
 """
 
@@ -59,26 +59,27 @@ from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Re
 from bayesbl.results.variables import Group, columns, datasets, table
 
 HELD = 4.0
-"""Times ``held_windup_rad`` that ramps leave beyond the dead zone, at most.
+"""Held compliance beyond the dead zone, as a multiple of ``held_windup_rad``, at most.
 
-Flanks are softer at small torque than where their compliance is read: by 2.4 times in the middle
-of the gearboxes of ``configs/torque_ramps_study.toml``, by about 3 or less in three of four
-(``held_ratio_3_of_4`` of its table). A judgement beyond that; how soft is drawn uniformly.
+Flanks are softer at small torque than where their compliance is read: by a factor of 2.4 at the
+median of the gearboxes of ``configs/torque_ramps_study.toml``, and by about 3 or less in three of
+four (``held_ratio_3_of_4`` of its table). The step from 3 to 4 is a judgement. The factor is drawn
+uniformly.
 """
 
 UNREACHED = 0.5
-"""Of the width, that small ramps may leave less than the joint has, at most.
+"""Share of the width by which small ramps may understate the play, at most.
 
-Where the joint creeps in its presliding, small ramps stop short of the flanks, by less than what
-larger ramps leave more. A judgement: those of the gearboxes of the stand leave up to four times the
-play, since they bend the flanks.
+If the joint creeps in presliding, small ramps stop short of the flanks, by less than the extra
+width that larger ramps leave. A judgement: on the gearboxes of the test stand, larger ramps leave
+up to four times the play, because they bend the flanks.
 """
 
 CHANGED_SD = 2.0
 """Standard deviations from which friction or compliance counts as changed: 5 % each by chance."""
 
 ROUNDING = float(np.finfo(float).eps)
-"""Of a logarithm, so that changes without scatter have a finite size too."""
+"""Rounding of a logarithm, so that changes without scatter have a finite size too."""
 
 COMPARED = {
     "compliance_rad_per_nm": ("compliance", "rad/N m"),
@@ -91,12 +92,13 @@ SOFTER = blind_spot("softer_flanks_unseen")
 
 @dataclass(frozen=True, slots=True)
 class HeldCompliance:
-    """What the ramps of a snapshot show beside its width.
+    """Friction and compliance of a snapshot, and the gap, for the comparison with others.
 
     Attributes
     ----------
     draws
-        Of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`COMPARED`, rad and N m.
+        Draws of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`COMPARED`, rad and
+        N m.
     measured
         The quantities in :data:`COMPARED`, by file and cycle.
     """
@@ -106,7 +108,7 @@ class HeldCompliance:
 
 
 def compliance_check(first: HeldCompliance, last: HeldCompliance) -> JointCheck:
-    """What changed in friction and compliance, and how far it may have moved the change of δ."""
+    """Changes of friction and compliance, and how far they may have moved the change of δ."""
     if first.draws is last.draws:
         return joint_check()
     before, after = first.draws, last.draws
@@ -122,7 +124,7 @@ def compliance_check(first: HeldCompliance, last: HeldCompliance) -> JointCheck:
     ]
     held = float(np.median(after["held_windup_rad"]) - np.median(before["held_windup_rad"]))
     low, middle, high = np.quantile(after["delta_rad"] - before["delta_rad"], (0.05, 0.5, 0.95))
-    # Less compliance held cannot pass for growth. A width falls with it, and also where more
+    # Less held compliance cannot pass for growth. The width falls with it, but also if more
     # friction keeps the ramps from the flanks.
     error = HELD * (max(held, 0.0) if middle > 0.0 else abs(held))
     changed = [item for item in items if abs(item["z"]) > CHANGED_SD]
@@ -133,35 +135,33 @@ def compliance_check(first: HeldCompliance, last: HeldCompliance) -> JointCheck:
 
 
 def _deviations(last: Sequence[FloatArray], first: Sequence[FloatArray]) -> float:
-    """The change by its scatter (Student's t), as standard deviations of equal probability.
-
-    Positions around the turn are paired by their order, as their widths are: a pattern that stays
-    then hides no change. Where nothing tells the scatter, no change is told.
-    """
+    """Change over its scatter (Student's t), converted to a normal deviate of equal probability.
+    Positions around the turn are paired by their order, as their widths are, so a lasting pattern
+    hides no change. Without scatter from repetitions, the result is 0."""
     after, before = observations(last), observations(first)
     if np.all(after > 0.0) and np.all(before > 0.0):
         after, before = np.log(after), np.log(before)
     change = float(after.mean() - before.mean())
     paired = len(last) == len(first) > 1
     samples = [after - before] if paired else [after, before]
-    if change == 0.0 or min(each.size for each in samples) < 2:
+    if change == 0.0 or min(sample.size for sample in samples) < 2:
         return 0.0
-    errors = np.array([each.var(ddof=1) / each.size + ROUNDING**2 for each in samples])
-    freedoms = np.array([each.size - 1.0 for each in samples])
+    errors = np.array([sample.var(ddof=1) / sample.size + ROUNDING**2 for sample in samples])
+    freedoms = np.array([sample.size - 1.0 for sample in samples])
     variance = float(errors.sum())
-    freedom = variance**2 / float(np.sum(errors**2 / freedoms))  # of two samples, Welch's
-    chance = float(stdtr(freedom, -abs(change) / np.sqrt(variance)))
-    return float(-np.sign(change) * ndtri(max(chance, ROUNDING**2)))
+    freedom = variance**2 / float(np.sum(errors**2 / freedoms))  # Welch's, for two samples
+    probability = float(stdtr(freedom, -abs(change) / np.sqrt(variance)))
+    return float(-np.sign(change) * ndtri(max(probability, ROUNDING**2)))
 
 
 LOST_MOTION_SHARE = 0.03
-"""Of the rated torque: where makers of reducers state lost motion."""
+"""Share of the rated torque at which makers of reducers state lost motion."""
 
 GOOD_PART = 0.5
-"""Of the gap that soft flanks may make up, from which a reader is told."""
+"""Share of the gap that soft flanks may cause, from which the reader is told."""
 
 UNSURE = 0.05
-"""Probability of play, and of none, from which both are told."""
+"""Probability of play, and of no play, above which both are reported as possible."""
 
 QUANTITIES = (
     "lost_motion_rad",
@@ -174,25 +174,25 @@ QUANTITIES = (
 PRELOAD = "preload_torque_nm"
 
 FILE_STARTS = "file_starts"
-"""Entry of a recording's metadata: the first sample of each of its files."""
+"""Key of a recording's metadata: the first sample of each of its files."""
 
 
 class RampMeasurer(Measurer):
-    """The route of torque ramps."""
+    """The torque-ramp route."""
 
     gap_range_rad = (1e-6, 0.5)
-    """Nothing is swept or searched: from an encoder's step to a tooth's width."""
+    """From an encoder's step to a tooth's width; nothing is swept or searched."""
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
-        """The ratio, as it decides the answer."""
+        """Yield the gear ratio, because it decides the answer."""
         ratio = self.config.joint.gear_ratio
-        given = "1, of the output (no gear_ratio)" if ratio is None else f"{ratio:g}"
-        yield "gear ratio", lambda: given
+        ratio_text = "1, of the output (no gear_ratio)" if ratio is None else f"{ratio:g}"
+        yield "gear ratio", lambda: ratio_text
 
     def read(self, entry: SnapshotRecording) -> Recording:
-        """All files of the snapshot one after another, position and torque as in the files."""
+        """Read and join all files of the snapshot, with position and torque as in the files."""
         parts = [
-            # Between ramps nothing may have been recorded: time does not matter here.
+            # Recording may pause between ramps: time does not matter here.
             read_recording(
                 file, name=entry.name, columns=self.config.column_specs, even=False, timed=False
             )
@@ -214,7 +214,7 @@ class RampMeasurer(Measurer):
         return _joined(entry.name, parts)
 
     def require_usable(self, recording: Recording) -> None:
-        """The torque goes to both sides of zero and back at least once."""
+        """Require that the torque goes to both sides of zero and back at least once."""
         _, flanks = self._flanks(recording)
         if flanks.level is not None:
             return
@@ -229,12 +229,12 @@ class RampMeasurer(Measurer):
         )
 
     def doubts(self, recording: Recording) -> Iterable[Reason]:
-        """Why δ will be withheld."""
+        """Reasons why δ will be withheld."""
         _, flanks = self._flanks(recording)
         return against(flanks)
 
     def measure(self, task: Task) -> Measurement:
-        """The play of all snapshots together."""
+        """Measure the play of all snapshots together."""
         files, flanks = zip(*map(self._flanks, task.recordings), strict=True)
         widths = [
             Widths(r.name, tuple(flank.level.widths()), self._resolution(r))
@@ -248,12 +248,13 @@ class RampMeasurer(Measurer):
             widths, sampler_of(self.config), play_seed, report, round_the_turn=elsewhere
         )
         shares = np.random.default_rng(shares_seed).uniform(size=(2, *play.log_density.shape))
-        each = zip(task.recordings, files, flanks, seeds, strict=True)
+        snapshot_parts = zip(task.recordings, files, flanks, seeds, strict=True)
         answers, held = zip(
-            *(self._answer(*one, play, shares, elsewhere=elsewhere) for one in each), strict=True
+            *(self._answer(*parts, play, shares, elsewhere=elsewhere) for parts in snapshot_parts),
+            strict=True,
         )
-        since = since_repair([entry.repaired for entry in self.config.recordings]).start
-        check = compliance_check(held[since], held[-1])
+        first_used = since_repair([entry.repaired for entry in self.config.recordings]).start
+        check = compliance_check(held[first_used], held[-1])
         return Measurement("torque_ramp", answers, same_joint=check)
 
     def _answer(
@@ -280,23 +281,23 @@ class RampMeasurer(Measurer):
             draws["shared_pattern"] = play.shared_pattern
         reasons = [*against(flanks), *sampling_reasons(play.diagnostics)]
         withheld = outcome_of(reasons) == "withheld"
-        given = self.config.joint.gear_ratio is not None
-        reasons += notes_on(files, flanks, draws, ratio_given=given, elsewhere=elsewhere)
+        has_ratio = self.config.joint.gear_ratio is not None
+        reasons += notes_on(files, flanks, draws, ratio_given=has_ratio, elsewhere=elsewhere)
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
         groups = ramp_groups(recording, files, flanks, draws, play, stated_nm)
-        told_from_none = flanks.probability_of_play >= UPPER_BOUND_LEVEL
+        has_play = flanks.probability_of_play >= UPPER_BOUND_LEVEL
         answer = Answer(
             recording.name,
             gap,
             reasons,
             groups,
             _numbers(flanks, groups, self.config.interval, is_withheld=withheld),
-            upper_bound_rad=None if told_from_none or withheld else upper_bound(gap),
+            upper_bound_rad=None if has_play or withheld else upper_bound(gap),
         )
         return answer, HeldCompliance(draws, of_cycles)
 
     def _rated(self, flanks: Flanks) -> float:
-        """The rated torque, or the largest that the ramps reach."""
+        """The rated torque, or the largest torque of the ramps."""
         rated = self.config.joint.rated_torque_nm
         if rated is not None:
             return rated
@@ -307,12 +308,12 @@ class RampMeasurer(Measurer):
         return self.config.joint.gear_ratio or 1.0
 
     def _resolution(self, recording: Recording) -> float:
-        """The smallest step of the position at the output, rad."""
+        """Smallest step of the position, at the output, rad."""
         steps = np.abs(np.diff(recording.channels[MOTOR_POSITION]))
         return float(steps[steps > 0.0].min()) / self._ratio
 
     def _flanks(self, recording: Recording) -> tuple[tuple[Ramps, ...], Flanks]:
-        """The ramps of each file, and the flanks that they show, at the output."""
+        """The ramps of each file and the flanks that they show, at the output."""
         torque = recording.channels[MOTOR_TORQUE] * self._ratio
         position = recording.channels[MOTOR_POSITION] / self._ratio
         starts = list(recording.metadata[FILE_STARTS])
@@ -324,7 +325,7 @@ class RampMeasurer(Measurer):
 
 
 def against(flanks: Flanks) -> list[Reason]:
-    """Why δ is withheld, if it is."""
+    """The reason why δ is withheld, if it is."""
     level = flanks.level
     if flanks.answered or level is None:
         return []
@@ -345,18 +346,18 @@ def notes_on(
     ratio_given: bool,
     elsewhere: bool,
 ) -> Iterator[Reason]:
-    """What a reader should know of how δ came about: of flanks, torque and positions.
+    """Yield notes on how δ was obtained: on flanks, torque and positions.
 
-    ``draws``: of ``width_rad`` and ``preload_torque_nm``. ``elsewhere``: one file a snapshot, and
-    not at the same position of the turn.
+    ``draws``: those of ``width_rad`` and ``preload_torque_nm``. ``elsewhere``: each snapshot has
+    one file, and these are at different positions of the turn.
     """
     level, relative = flanks.level, flanks.relative_compliance
     assert level is not None
     if flanks.finding == "preloaded":
-        lifts = float(np.median(draws["preload_torque_nm"]))
+        lifting_nm = float(np.median(draws["preload_torque_nm"]))
         values = {
             "relative_compliance": relative,
-            "lifts_nm": None if np.isnan(lifts) else lifts,
+            "lifts_nm": None if np.isnan(lifting_nm) else lifting_nm,
             "width_rad": float(np.median(draws["width_rad"])) * without_play(flanks, draws),
         }
         yield Reason("no_play", values)
@@ -391,17 +392,17 @@ def notes_on(
 def _numbers(
     flanks: Flanks,
     groups: Mapping[str, xr.Dataset],
-    of: IntervalConfig,
+    section: IntervalConfig,
     *,
     is_withheld: bool,
 ) -> dict[str, Any]:
-    """The contract's keys, and beside them what the play was read from."""
+    """The snapshot's keys of the summary, with the ramps that show the play."""
     level, posterior = flanks.level, groups["posterior"]
     assert level is not None
-    intervals = shared.intervals(posterior, QUANTITIES, of)
-    # All NaN where no flank is seen to lift.
+    intervals = shared.intervals(posterior, QUANTITIES, section)
+    # All NaN if no flank is seen to lift.
     if np.isfinite(posterior[PRELOAD].values).any():
-        intervals |= shared.intervals(posterior, [PRELOAD], of)
+        intervals |= shared.intervals(posterior, [PRELOAD], section)
     used = [file for file in level.files if file]
     return {
         **{name: intervals[name] for name in QUANTITIES},
@@ -416,17 +417,15 @@ def _numbers(
         },
         "parameters": {
             **intervals,
-            **shared.intervals(posterior, ("width_rad", "scatter_rad"), of),
+            **shared.intervals(posterior, ("width_rad", "scatter_rad"), section),
         },
         "noise": {"kind": "repeated"},
     }
 
 
 def _elsewhere(flanks: Sequence[Flanks]) -> bool:
-    """Whether snapshots of one file each were made at different positions of the turn.
-
-    They are at the same where their flanks overlap.
-    """
+    """Whether snapshots of one file each were recorded at different positions of the turn.
+    Positions count as equal if their flanks overlap."""
     levels = [flank.level for flank in flanks if flank.level is not None]
     if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
         return False
@@ -436,13 +435,13 @@ def _elsewhere(flanks: Sequence[Flanks]) -> bool:
 
 
 def _joined(name: str, parts: Sequence[Recording]) -> Recording:
-    """One recording of several files; its time goes on from each to the next."""
+    """Join several files to one recording, with continuous time."""
     names = [c for c in parts[0].channels if all(c in part.channels for part in parts)]
     starts = np.cumsum([0, *(part.samples for part in parts)])
-    times, begins = [], 0.0
+    times, begin_s = [], 0.0
     for part in parts:
-        times.append(part.time_s - part.time_s[0] + begins)
-        begins = float(times[-1][-1]) + part.sampling_period_s
+        times.append(part.time_s - part.time_s[0] + begin_s)
+        begin_s = float(times[-1][-1]) + part.sampling_period_s
     sources = [part.source for part in parts if part.source is not None]
     digest = hashlib.sha256("".join(s.sha256 for s in sources).encode()).hexdigest()
     first = sources[0]
@@ -459,18 +458,21 @@ def _joined(name: str, parts: Sequence[Recording]) -> Recording:
 
 
 def of_every_cycle(flanks: Flanks, stated_nm: float) -> dict[str, list[FloatArray]]:
-    """Everything but the play, by file and cycle, rad and N m.
+    """All quantities but the play, by file and cycle, rad and N m.
 
-    Lost motion at ±``stated_nm`` N m, compliance, friction, windup that friction holds.
+    These are lost motion at ±``stated_nm`` N m, stiffness, compliance, friction, and the wind-up
+    that friction holds.
     """
     level, largest = flanks.level, flanks.largest
     assert level is not None
     assert largest is not None
     width = float(np.mean([c.width_rad for c in level.cycles]))
-    # Ramps that hardly go beyond the friction do not tell it.
-    flank = max(largest.range_rad - width, 0.0)
-    beyond = 2.0 * (largest.amplitude_nm - level.friction_nm)
-    compliance = flank / beyond if largest is not level and beyond > 0.0 else 0.0
+    # Ramps that hardly exceed the friction do not show the compliance.
+    flank_rad = max(largest.range_rad - width, 0.0)
+    elastic_range_nm = 2.0 * (largest.amplitude_nm - level.friction_nm)
+    compliance = (
+        flank_rad / elastic_range_nm if largest is not level and elastic_range_nm > 0.0 else 0.0
+    )
     return {
         "lost_motion_rad": of_cycles(largest, lambda c: lost_motion(c, stated_nm)),
         "stiffness_nm_per_rad": of_cycles(largest, stiffness),
@@ -490,29 +492,31 @@ def gap_draws(
     shares: FloatArray,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """Draws of δ, rad, of the shape of those of the width and of what :func:`described` draws.
+    """Draws of δ, rad, of the same shape as ``draws``.
 
     With play, for u and v uniform between 0 and 1,
 
         δ = (1 + v² more)/2 · width − u HELD · held windup        at least 0
 
-    where ``more`` is what larger ramps leave more, as a share, up to ``UNREACHED``. ``shares``, of
-    shape (2, chain, draw), are u and v: of the joint, so the same for all snapshots.
+    where ``more`` is the extra width after larger ramps, as a share, up to ``UNREACHED``.
+    ``shares``, of shape (2, chain, draw), are u and v: properties of the joint, so the same for all
+    snapshots.
 
-    Without play, what is left between the flanks is compliance held by friction: a gap is a part of
-    it that nothing shows. That is what larger ramps leave, unless a preload explains the loop.
+    Without play, the width between the flanks is compliance held by friction, and a gap is an
+    unseen part of it. It is bounded by the width after larger ramps, unless a preload explains the
+    loop.
     """
     width, held = draws["width_rad"], draws["held_windup_rad"]
     soft, unreached = shares
     more = min(flanks.left_by_larger - 1.0, UNREACHED)
     delta = 0.5 * (1.0 + unreached**2 * more) * width - HELD * soft * held
-    none = generator.uniform(size=width.shape) > flanks.probability_of_play
+    no_play = generator.uniform(size=width.shape) > flanks.probability_of_play
     bound = 0.5 * width * without_play(flanks, draws)
-    return np.where(none, bound * generator.uniform(size=width.shape), np.maximum(delta, 0.0))
+    return np.where(no_play, bound * generator.uniform(size=width.shape), np.maximum(delta, 0.0))
 
 
 def without_play(flanks: Flanks, draws: Mapping[str, FloatArray]) -> float:
-    """Times the width that bounds a gap without play: one where a flank is seen to lift."""
+    """Bound of a gap without play, as a multiple of the width; 1 if a flank is seen to lift."""
     is_preloaded = flanks.finding == "preloaded" and np.isfinite(draws[PRELOAD]).any()
     return 1.0 if is_preloaded else flanks.left_by_larger
 
@@ -523,22 +527,22 @@ def described(
     width: FloatArray,
     generator: np.random.Generator,
 ) -> dict[str, FloatArray]:
-    """Draws of everything but the play: means over the files, with their scatter.
+    """Draws of all quantities but the play: means over the files, with their scatter.
 
-    By name, each of the shape of ``width``: what was measured, and the torque up to which a
-    preload lets both flanks carry (0 with play, NaN where no flank is seen to lift), N m.
+    By name, each of the shape of ``width``: the measured quantities, and the torque (N m) up to
+    which a preload keeps both flanks in contact (0 with play, NaN if no flank is seen to lift).
     """
     shape = width.shape
-    draws = {name: _mean_draws(each, shape, generator) for name, each in of_cycles.items()}
+    draws = {name: _mean_draws(by_file, shape, generator) for name, by_file in of_cycles.items()}
     if flanks.largest is flanks.level:
-        # Nothing tells what friction holds: up to all of the width.
+        # Held compliance is unknown: anything up to the whole width.
         draws["held_windup_rad"] = 0.5 * width * generator.uniform(size=shape)
     draws["preload_torque_nm"] = np.zeros(shape)
     if flanks.finding == "preloaded":
         assert flanks.largest is not None
-        lifts = lifting_torque(flanks.largest)
+        lifting_nm = lifting_torque(flanks.largest)
         draws["preload_torque_nm"] = (
-            _mean_draws(lifts, shape, generator) if lifts else np.full(shape, np.nan)
+            _mean_draws(lifting_nm, shape, generator) if lifting_nm else np.full(shape, np.nan)
         )
     return draws
 
@@ -546,10 +550,8 @@ def described(
 def _mean_draws(
     by_file: Sequence[FloatArray], shape: tuple[int, ...], generator: np.random.Generator
 ) -> FloatArray:
-    """Of a mean over files, or over the cycles of one: Student's t, in logarithms where positive.
-
-    One value alone says nothing of its scatter, and is repeated.
-    """
+    """Draws of a mean over files, or over cycles of one file: Student's t, of logarithms if
+    positive. A single value has no known scatter, and is repeated."""
     values = observations(by_file)
     positive = bool(np.all(values > 0.0))
     transformed = np.log(values) if positive else values
@@ -565,9 +567,9 @@ def _budget(flanks: Flanks, width: FloatArray, delta: FloatArray) -> dict[str, f
     level = flanks.level
     assert level is not None
     widths = level.widths()
-    number = sum(v.size for v in widths)
+    count = sum(v.size for v in widths)
     freedom = sum(v.size - 1 for v in widths)
-    within = sum(float(v.var()) * v.size for v in widths) / freedom / number if freedom else 0.0
+    within = sum(float(v.var()) * v.size for v in widths) / freedom / count if freedom else 0.0
     shares = {"repeated_ramps": within if len(widths) > 1 else float(np.var(width))}
     if len(widths) > 1:
         shares["positions_round_the_turn"] = max(float(np.var(width)) - within, 0.0)
@@ -582,7 +584,7 @@ prepare = RampMeasurer
 # What is stored.
 
 MOST_POINTS = 1500
-"""Of a file's path in ``loop``."""
+"""Points of a file's path in ``loop``, at most."""
 
 POSTERIOR = Group(
     "posterior",
@@ -658,12 +660,12 @@ def ramp_groups(
 ) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension.
 
-    ``draws``: of all of :data:`POSTERIOR`; ``stated_nm``: the torque of the lost motion.
+    ``draws``: those of all of :data:`POSTERIOR`; ``stated_nm``: the torque of the lost motion.
     """
     lengths = [ramps.torque_nm.size for ramps in files]
     used = [] if flanks.level is None else flanks.level.cycles
-    each = [(n, cycle) for n, file in enumerate(files) for cycle in file.cycles]
-    counts = [any(cycle is other for other in used) for _, cycle in each]
+    numbered_cycles = [(n, cycle) for n, file in enumerate(files) for cycle in file.cycles]
+    is_used = [any(cycle is other for other in used) for _, cycle in numbered_cycles]
     return datasets(
         {
             POSTERIOR: draws,
@@ -679,11 +681,11 @@ def ramp_groups(
                 file=np.repeat(np.arange(len(lengths), dtype=float), lengths),
             ),
             CYCLES: (
-                columns(CYCLES, [cycle for _, cycle in each]),
+                columns(CYCLES, [cycle for _, cycle in numbered_cycles]),
                 flanks,
                 {
-                    "file": np.array([n for n, _ in each], dtype=float),
-                    "used": np.array(counts, dtype=float),
+                    "file": np.array([n for n, _ in numbered_cycles], dtype=float),
+                    "used": np.array(is_used, dtype=float),
                     "lost_motion_torque_nm": stated_nm,
                 },
             ),
@@ -709,7 +711,7 @@ def _loop(flanks: Flanks) -> dict[str, FloatArray]:
 
 
 def _path(cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray]:
-    """Torque and position of all cycles of a file in order, thinned."""
+    """Torque and position along all cycles of a file, in order, thinned."""
     path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
     torque, position = cycles[0].torque_nm[path], cycles[0].position_rad[path]
     step = max(1, -(-torque.size // MOST_POINTS))

@@ -1,10 +1,10 @@
-"""Routes of measurement by name, and the one way to run them.
+"""Routes of measurement by name, and the one function that runs them.
 
-A route is a module that declares the groups it stores in a group of its own name, and has
-``prepare``, which gives its :class:`bayesbl.measurement.measurement.Measurer`; and its row in
-:data:`ROUTES`.
-``auto`` is of two routes, one of which answers: its results are that one's. Where the load's
-position is recorded, two encoders stand beside routes that go by the motor alone.
+A route is a module. It declares the groups it stores (in a group of its own name), has a row in
+:data:`ROUTES` and a function ``prepare`` that returns its
+:class:`bayesbl.measurement.measurement.Measurer`.
+``auto`` runs two routes and stores the results of the one that answers. If the load's position is
+recorded, the two-encoder route runs beside routes that use the motor alone.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ ROUTES = {
     "torque_ramp": "bayesbl.measurement.ramp_route",
     "two_encoders": "bayesbl.measurement.two_encoder_route",
 }
-"""Name to the module, which is imported only where it is used."""
+"""Module of each route, imported only when it is used."""
 
 
 def measurer_of(config: SnapshotConfig) -> Measurer:
-    """The route that a configuration asks for, with all that it reads beside the recordings.
+    """Prepare the configured route, and read its bench and curve.
 
     Raises
     ------
@@ -64,20 +64,20 @@ def measure(
     progress, work, say, swept
         As of :class:`bayesbl.measurement.measurement.Task`.
     seeds
-        Those of the configuration by default.
+        Seeds of the run; by default from the configuration.
     recordings
-        Those of the configuration as this route reads them; read here by default.
+        The configured recordings as this route reads them; by default they are read here.
 
     Returns
     -------
-    The whole result; nothing is written but finished work.
+    The whole result; only finished steps are written to ``work`` and ``swept``.
 
     Raises
     ------
     UserError
-        If a recording, the bench or the curve cannot be read or used, the curve does not belong
-        to the estimator, there is nothing to start from in the earlier result, or the second
-        sampler is not installed.
+        If a recording, the bench or the curve cannot be read or used, the curve does not belong to
+        the estimator, the earlier result has no optimum to start from, or the second sampler is not
+        installed.
     """
     measurer = measurer_of(config)
     require_plausible_limit(limit_rad_of(config), measurer.gap_range_rad)

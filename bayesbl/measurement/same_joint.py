@@ -1,9 +1,9 @@
-"""Whether nothing but the gap changed between snapshots, asked of the recordings alone.
+"""Check from the recordings alone that only the gap changed between snapshots.
 
-Compared is what the gap moves little or not at all: the controller's gains, the mean current, the
-first two load orders of current and speed, the ringing's frequency and decay. How far a changed gap
-may move each of them is taken off the difference before it is held against its standard error.
-Without a current a changed filter of the recorded speed shows in the colour of the noise alone.
+Compared are quantities that the gap changes little or not at all: the controller's gains, the mean
+current, the first two load orders of current and speed, the frequency and decay of the ringing. The
+difference of each is reduced by the largest effect of a changed gap before it is compared with its
+standard error. Without a current, only the colour of the noise shows a changed filter of the speed.
 """
 
 from __future__ import annotations
@@ -43,39 +43,39 @@ from bayesbl.ringing.cleaning import MotorLine
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
 
 FALSE_ALARM = 0.01
-"""Of one comparison, over all its quantities and snapshots."""
+"""Probability of a false alarm in one comparison, over all its quantities and snapshots."""
 
 FREQUENCY, DECAY = "ringing frequency", "ringing decay"
 FILTER = "share of the ringing that is recorded"
-"""Its logarithm is compared, by the noise of the first snapshot and of another."""
+"""Its logarithm is compared, from the noise of the first snapshot and of another."""
 
 LINE = "line of the motor in the speed"
-"""A ripple or an error of transmission or encoder, where it stands out of the speed."""
+"""Ripple, or error of transmission or encoder, that stands out in the speed."""
 
 HARMLESS_SD = 0.5
-"""Of the change of ln A: a 90 % interval that is off by so much holds the truth in 86 %."""
+"""Harmless bias of ln A, in standard deviations of its change: 90 % intervals then cover 86 %."""
 
 BY_AMPLITUDE = {FREQUENCY: 0.1, DECAY: 0.5}
 """Largest ∂ln quantity/∂ln A along the gap, over benches within a factor of 1.6 of the reference
 and gaps of 0.3 to 3 mrad (0.09 and 0.47, ``experiments/joint_features.py``)."""
 
 BY_GAP = {"current": 0.0025, "speed": 0.005}
-"""What 2.7 mrad more gap adds to a load order, or to the mean, as a share of the first order: the
-load jumps by twice the gap at each flip of flanks, the second order by 8/(3π) of that angle
-(0.23 and 0.46 %, same command)."""
+"""Change of a load order, or of the mean, by 2.7 mrad more gap, as a share of the first order: the
+load jumps by twice the gap at each change of flank, the second order by 8/(3π) of that angle (0.23
+and 0.46 %, same command)."""
 
 BY_SPEED = 2.0
-"""Powers of the speed that a quantity goes with at most; snapshots may differ by 2 % in it."""
+"""Highest power of the speed in a quantity; the speeds of snapshots may differ by 2 %."""
 
 BY_SAMPLING = {FREQUENCY: 0.15, DECAY: 0.41}
-"""Largest share by which a fit of samples T apart is off, per (ω T)², over the same benches at 125
+"""Largest relative error of a fit with sampling period T, per (ω T)², over the same benches at 125
 and 250 Hz (0.149 and 0.408, same command)."""
 
 SAME_RATE = 0.01
-"""Share by which two sampling rates may differ and still show the same noise."""
+"""Relative difference up to which two sampling rates show the same noise."""
 
 SAME_SPEED = 0.02
-"""Share by which two speeds may differ and the loop still answer a line of the motor alike."""
+"""Relative difference up to which the loop answers a line of the motor alike at two speeds."""
 
 START_ANGLE_SD = {FREQUENCY: 0.0015, DECAY: 0.002}
 """Scatter of ln quantity with the start angle on the reference bench (same command)."""
@@ -99,15 +99,15 @@ COULD_BE = {
     FILTER: ("speed_averaging", "speed_sensor_lag"),
     LINE: ("gear_transmission_error", "motor_torque_ripple", "encoder_eccentricity"),
 }
-"""What of the joint would move each quantity."""
+"""Parameters and effects of the joint that would move each quantity."""
 
 SHOWN_BEST = (DECAY, FREQUENCY, PROPORTIONAL, INTEGRAL, harmonic_name("current", 1))
-"""Of which it is told how much may change unseen, those of the ringing itself first."""
+"""Quantities whose smallest detectable change is reported, those of the ringing first."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot:
-    """What is compared of one snapshot."""
+    """The compared quantities of one snapshot."""
 
     name: str
     features: dict[str, Feature]
@@ -123,13 +123,13 @@ class _Snapshot:
     def of(cls, point: PointEstimate) -> _Snapshot:
         centre, covariance = point.ringing
         features = {feature.name: feature for feature in features_of(point)}
-        for name, unit, place, scale in (
+        for name, unit, index, scale in (
             (FREQUENCY, "Hz", 1, 2.0 * math.pi),
             (DECAY, "1/s", 2, 1.0),
         ):
-            sd = math.sqrt(covariance[place, place])
-            if sd > 0.0:  # a fixed one is no measurement
-                value = math.exp(centre[place]) / scale
+            sd = math.sqrt(covariance[index, index])
+            if sd > 0.0:  # a fixed symbol was not measured
+                value = math.exp(centre[index]) / scale
                 sd = math.hypot(sd, START_ANGLE_SD[name])
                 features[name] = Feature(name, unit, value, value * sd)
         recording = point.recording
@@ -151,27 +151,29 @@ def same_joint(
     repaired: Sequence[bool],
     stated: Sequence[Hashable] | None = None,
 ) -> JointCheck:
-    """Every snapshot against the first one like it since the last repair.
+    """Compare every snapshot with the first comparable one since the last repair.
 
     Parameters
     ----------
     repaired
         Whether each snapshot is the first one after a repair.
     stated
-        What the user says of each snapshot: those of which another thing is said may differ.
+        What the user states of each snapshot; only snapshots with equal statements are compared.
     """
     if len(points) < 2:
         return joint_check()
     pairs: list[_Pair] = []
     first: dict[Hashable, _Snapshot] = {}
-    for point, anew, said in zip(points, repaired, stated or [None] * len(points), strict=True):
+    for point, after_repair, statement in zip(
+        points, repaired, stated or [None] * len(points), strict=True
+    ):
         snapshot = _Snapshot.of(point)
-        if anew:
+        if after_repair:
             first.clear()
-        if said in first:
-            pairs.append(_Pair(first[said], snapshot))
+        if statement in first:
+            pairs.append(_Pair(first[statement], snapshot))
         else:
-            first[said] = snapshot
+            first[statement] = snapshot
     compared = sum(len(p.items) + (not p.shows_gains) + len(p.lines) for p in pairs)
     if not compared:
         return joint_check()
@@ -197,7 +199,7 @@ def same_joint(
 
 
 def change_reason(check: JointCheck) -> Reason | None:
-    """Why the change of a gap that a curve gave is withheld; ``None`` where it is not."""
+    """Why the change of a gap by a curve is withheld; ``None`` if it is not."""
     return None if check["agrees"] else Reason("joint_changed", {"also": check["findings"]})
 
 
@@ -210,12 +212,12 @@ class _Pair:
 
     @property
     def shows_gains(self) -> bool:
-        """The law of the controller shows a filter of the speed, and better than the noise does."""
+        """Whether the control law shows a filter of the speed, better than the noise does."""
         return all(PROPORTIONAL in each.features for each in (self.first, self.other))
 
     @property
     def change(self) -> float:
-        """Of ln A."""
+        """Change of ln A."""
         return self.other.log_amplitude - self.first.log_amplitude
 
     @property
@@ -224,21 +226,21 @@ class _Pair:
 
     @property
     def harmless(self) -> float:
-        """What may be done to ln A without harm to an interval."""
+        """Largest bias of ln A that leaves an interval valid."""
         return HARMLESS_SD * self.change_sd
 
     @property
     def items(self) -> list[CheckItem]:
-        """Each feature that both have."""
+        """One item for each feature that both snapshots have."""
         items = []
         for name, before in self.first.features.items():
             after = self.other.features.get(name)
-            turned = self.first.direction != self.other.direction
-            # In the other direction a constant torque changes sides.
-            if after is None or (name == MEAN_CURRENT and turned):
+            reversed_direction = self.first.direction != self.other.direction
+            # If the direction changed, so did the sign of a constant torque.
+            if after is None or (name == MEAN_CURRENT and reversed_direction):
                 continue
-            difference, late = after.value - before.value, self.by_lateness(name)
-            difference -= min(max(difference, min(late, 0.0)), max(late, 0.0))
+            difference, lateness = after.value - before.value, self.by_lateness(name)
+            difference -= min(max(difference, min(lateness, 0.0)), max(lateness, 0.0))
             beyond = max(abs(difference) - self.explained(name), 0.0)
             z = math.copysign(beyond, difference) / self.sd(name)
             items.append(check_item(name, after.value, before.value, before.unit, z))
@@ -246,20 +248,23 @@ class _Pair:
 
     @property
     def lines(self) -> dict[int, CheckItem]:
-        """Every line of the motor by its order; one that does not stand out counts as none."""
+        """One item for each line of the motor, by its order; a missing line has amplitude 0."""
         if abs(self.other.log_speed - self.first.log_speed) > SAME_SPEED:
             return {}
         items = {}
         for order in sorted({*self.first.lines, *self.other.lines}):
-            none = MotorLine(order, 0.0, 0.0)
-            before, after = (each.lines.get(order, none) for each in (self.first, self.other))
+            no_line = MotorLine(order, 0.0, 0.0)
+            before, after = (each.lines.get(order, no_line) for each in (self.first, self.other))
             sd = math.hypot(before.standard_error_rpm, after.standard_error_rpm)
             z = (after.size_rpm - before.size_rpm) / sd if sd > 0.0 else 0.0
             items[order] = check_item(LINE, after.size_rpm, before.size_rpm, "rpm", z)
         return items
 
     def filter_change(self, bound: float) -> FilterChange | None:
-        """By the noise, where nothing shows it better; another rate folds another part of it."""
+        """The filter change by the noise; ``None`` if gains show it better or the rates differ.
+
+        At another sampling rate, another part of the noise is aliased.
+        """
         first, other = self.first, self.other
         same_rate = abs(math.log(other.period_s / first.period_s)) < SAME_RATE
         if self.shows_gains or first.noise is None or other.noise is None or not same_rate:
@@ -269,32 +274,32 @@ class _Pair:
     def findings(
         self, change: FilterChange | None, bound: float
     ) -> Iterator[tuple[CheckItem, dict[str, Any] | None]]:
-        """Each quantity with what is to be said of it, where it is no chance and does harm."""
+        """Yield each item with its finding; ``None`` if the difference is chance or harmless."""
         for item in self.items:
-            moved = abs(item["z"]) > bound
-            yield item, {"code": "quantity_changed", **_values(item)} if moved else None
+            significant = abs(item["z"]) > bound
+            yield item, {"code": "quantity_changed", **_values(item)} if significant else None
         if change is not None:
             shift = change.log_amplitude
             item = check_item(FILTER, math.exp(shift), 1.0, "", change.deviations)
-            moved = abs(item["z"]) > bound and abs(shift) > self.harmless
-            least = math.expm1(change.low if shift > 0.0 else change.high)
-            yield item, {"code": "filter_changed", "least_share": least} if moved else None
+            significant = abs(item["z"]) > bound and abs(shift) > self.harmless
+            smallest = math.expm1(change.low if shift > 0.0 else change.high)
+            yield item, {"code": "filter_changed", "least_share": smallest} if significant else None
         for order, item in self.lines.items():
-            # What repeats with the motor is there when the teeth meet, so they meet faster or
-            # slower by as much as it moves the motor: the ringing behind is that much louder.
-            furthest = abs(item["measured"] - item["expected"]) / math.exp(self.first.log_amplitude)
-            least = max(abs(self.change) - bound * self.change_sd, 0.0)
-            moved = abs(item["z"]) > bound and abs(self.change) > self.harmless
-            values = {"order": order, "furthest_share": furthest, **_values(item)}
-            is_changed = moved and furthest >= least
+            # A ripple that repeats with the motor also acts when the teeth meet. It changes their
+            # speed of contact by up to its own amplitude, and the ringing in proportion.
+            largest = abs(item["measured"] - item["expected"]) / math.exp(self.first.log_amplitude)
+            smallest = max(abs(self.change) - bound * self.change_sd, 0.0)
+            significant = abs(item["z"]) > bound and abs(self.change) > self.harmless
+            values = {"order": order, "furthest_share": largest, **_values(item)}
+            is_changed = significant and largest >= smallest
             yield item, {"code": "line_changed", **values} if is_changed else None
 
     def sd(self, name: str) -> float:
-        """Of a feature's change."""
+        """Standard deviation of a feature's change."""
         return math.hypot(*(s.features[name].standard_error for s in (self.first, self.other)))
 
     def explained(self, name: str) -> float:
-        """How far gap, speed and sampling may have moved a feature."""
+        """Largest change of a feature by gap, speed and sampling."""
         first, other = self.first, self.other
         value = first.features[name].value
         by_speed = BY_SPEED * abs(value * (other.log_speed - first.log_speed))
@@ -304,30 +309,30 @@ class _Pair:
             by_sampling = BY_SAMPLING[name] * abs(squares)
             return by_speed + abs(value) * (abs(BY_AMPLITUDE[name] * self.change) + by_sampling)
         if name in (PROPORTIONAL, INTEGRAL):
-            return 0.0  # what the controller makes of a speed error does not depend on either
+            return 0.0  # the control law depends on neither speed nor gap
         channel = "speed" if name.startswith("speed") else "current"
         return by_speed + BY_GAP[channel] * first.features[harmonic_name(channel, 1)].value
 
     def by_lateness(self, name: str) -> float:
-        """What the speed may differ by for being a mean over the sampling period, if it is one.
+        """Change of K_p if the speed is a mean over the sampling period, which it may be.
 
-        Such a mean over T comes T/2 late, by which K_p + K_i/jω seems larger by K_i T/2.
+        A mean over T is late by T/2, so K_p + K_i/jω appears larger by K_i T/2.
         """
         if name != PROPORTIONAL:
             return 0.0
-        later_s = self.other.period_s - self.first.period_s
-        return 0.5 * self.first.features[INTEGRAL].value * later_s
+        longer_period_s = self.other.period_s - self.first.period_s
+        return 0.5 * self.first.features[INTEGRAL].value * longer_period_s
 
 
 def _values(item: CheckItem) -> dict[str, Any]:
-    """What is said of a quantity: all but its deviations."""
+    """Keys of an item that a finding reports: all but ``z``."""
     return {key: value for key, value in item.items() if key != "z"}
 
 
 def _too_small(pairs: Sequence[_Pair], bound: float) -> Iterator[dict[str, Any]]:
-    """How much of each quantity could change unseen, by the pair that shows it worst."""
+    """Yield the smallest detectable change of each quantity, by the least sensitive pair."""
     for name in SHOWN_BEST:
-        least = [
+        detectable = [
             (
                 bound * pair.sd(name) + pair.explained(name) + abs(pair.by_lateness(name)),
                 pair.first.features[name].value,
@@ -335,26 +340,26 @@ def _too_small(pairs: Sequence[_Pair], bound: float) -> Iterator[dict[str, Any]]
             for pair in pairs
             if name in pair.first.features and name in pair.other.features
         ]
-        if not least:
+        if not detectable:
             continue
         # Noise may hide a harmonic.
-        shown = all(value > 0.0 for _, value in least)
-        share = max(size / value for size, value in least) if shown else None
+        visible = all(value > 0.0 for _, value in detectable)
+        share = max(size / value for size, value in detectable) if visible else None
         yield blind_spot("change_unseen", quantity=name, share=share)
 
 
 def _filters_unseen(
     pairs: Sequence[_Pair], filters: Sequence[FilterChange | None]
 ) -> Iterator[dict[str, Any]]:
-    """What filter of the speed would pass, by the pair that shows it worst."""
+    """Yield the filters of the speed that would go undetected, by the least sensitive pair."""
     by_noise = [(p, f) for p, f in zip(pairs, filters, strict=True) if not p.shows_gains]
     if any(change is None for _, change in by_noise):
         yield blind_spot("filter_unseen")
-    reach = [
+    undetected = [
         max(change.high - change.log_amplitude, change.log_amplitude - change.low, pair.harmless)
         for pair, change in by_noise
         if change is not None
     ]
-    if reach:
+    if undetected:
         yield blind_spot("filter_before_noise_unseen")
-        yield blind_spot("small_filter_unseen", share=math.expm1(max(reach)))
+        yield blind_spot("small_filter_unseen", share=math.expm1(max(undetected)))

@@ -1,9 +1,9 @@
 """Groups and variables of ``result.nc`` that every route of measurement stores.
 
-Each route has a group of its own name, with ArviZ's groups inside (``posterior``, ``sample_stats``,
-``observed_data``, …) and those of its science. At the root are ``gap``, the draws of the route that
-answers, and of a comparison ``change``, and ``wear`` where the recordings are dated. In a
-comparison all that is of one recording has a dimension ``snapshot`` in front.
+Each route has a group of its own name, which contains ArviZ's groups (``posterior``,
+``sample_stats``, ``observed_data``, …) and those of its physics. The root holds ``gap`` (draws of
+the route that answers), and for a comparison ``change``, and ``wear`` if the recordings are dated.
+In a comparison, everything that belongs to one recording has a leading dimension ``snapshot``.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _channel(name: str) -> Variable:
 
 
 OBSERVED = Group("observed_data", named=_channel)
-"""Channels that the route goes by, as they were compared."""
+"""Channels that the route used, as they were compared."""
 
 CONSTANT = Group(
     "constant_data",
@@ -70,7 +70,7 @@ CONSTANT = Group(
     """),
     named=_channel,
 )
-"""Time, and all other channels of the recording: later figures lay simulations over them."""
+"""Time, and all other channels of the recording: figures plot simulations over them."""
 
 BUDGET = Group(
     "budget",
@@ -99,9 +99,9 @@ PRIOR_PREDICTIVE = Group("prior_predictive", (), (CHAIN, DRAW), named=_replicate
 
 PRIOR_DRAWS = 1000
 NOISE_DRAWS = 500
-"""Of the posterior by the noise alone, over all chains."""
+"""Draws of the posterior by the noise alone, over all chains."""
 REPLICATES = 1
-"""Recordings that are predicted for each chain, each as long as the one that was fitted."""
+"""Predicted recordings per chain, each as long as the fitted one."""
 
 
 def of_noise_alone(
@@ -110,7 +110,7 @@ def of_noise_alone(
     coordinates: tuple[Variable, ...] = (),
     prior: tuple[Variable, ...] = (),
 ) -> dict[str, Group]:
-    """Groups of the model and its noise alone, by name: prior, likelihood, what both predict.
+    """Groups of the model with its noise alone, by name: prior, likelihood, predictions.
 
     ``named`` declares each unknown. Log likelihood and predictions belong to ``noise_posterior``,
     prior times likelihood, which is not widened as the answer is.
@@ -136,7 +136,7 @@ def replicates(chains: int, channels: Mapping[str, FloatArray]) -> dict[str, Flo
 
 
 GAP = Group("gap", (DELTA,), (CHAIN, DRAW))
-"""The draws of δ of the route that answers; absent without a curve."""
+"""Draws of δ of the route that answers; absent without a curve."""
 
 CHANGE = Group(
     "change",
@@ -164,22 +164,22 @@ def common_groups(
     file: FloatArray | None = None,
     **simulated: float,
 ) -> dict[Group, object]:
-    """Sources of the groups that every route stores of a recording, without ``snapshot``.
+    """Data of the groups that every route stores for a recording, without ``snapshot``.
 
     Parameters
     ----------
     recording
         As it was compared.
     observed
-        Names of the channels that the route went by; all others are constant data.
+        Names of the channels that the route used; all others are constant data.
     budget
         Share of each source in the variance of ln δ.
     rotations
-        Of the load in the recording; 0 where the route counts none.
+        Load rotations in the recording; 0 if the route counts none.
     file
-        Number of the file of each sample, of a snapshot of several; shape (n,).
+        File number of each sample, for a snapshot of several files; shape (n,).
     simulated
-        Optional variables of :data:`DIAGNOSTICS`, of draws that were simulated in full.
+        Optional variables of :data:`DIAGNOSTICS` for draws that were simulated in full.
     """
     names = list(observed)
     excluded = np.zeros(recording.samples) if recording.excluded is None else recording.excluded
@@ -207,7 +207,7 @@ def common_groups(
 
 
 def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
-    """What :func:`common_groups` holds, as ``summary.json`` has it: symbols by the worst of all."""
+    """Contents of :func:`common_groups` for ``summary.json``; diagnostics of the worst symbol."""
     sampled, budget = groups[DIAGNOSTICS.name], groups[BUDGET.name]
     diagnostics: dict[str, float] = {
         "r_hat": float(np.fmax.reduce(sampled["r_hat"].values)),
@@ -230,5 +230,5 @@ def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
 def intervals(
     posterior: xr.Dataset, names: Iterable[str], of: IntervalConfig
 ) -> dict[str, Interval]:
-    """Interval of each of these variables of a posterior, as configured."""
+    """Credible interval of each named variable of a posterior, as configured."""
     return {name: interval(posterior[name].values, of.level, of.kind) for name in names}

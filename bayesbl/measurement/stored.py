@@ -1,7 +1,7 @@
-"""A measurement as the tree of ``result.nc``, and back: the one place for every route.
+"""Convert a measurement to the tree of ``result.nc`` and back, for every route.
 
 The tree has a group for each route that ran (see :mod:`bayesbl.measurement.shared_groups`), the
-draws that answer at its root, and the whole summary as the attribute ``summary``.
+draws of the answer at its root, and the whole summary as the attribute ``summary``.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from bayesbl.results.variables import STACKED, dataset, datasets, stack_snapshot
 
 
 def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
-    """The whole result of a fit or a comparison, with its origin."""
+    """The whole result of a fit or a comparison, with its provenance."""
     config = task.config
     routes = (measured, *measured.beside)
     groups: dict[str, xr.Dataset] = {}
-    for one in routes:
-        stacked = _stacked({a.name: a.groups for a in one.answers}, config)
-        groups |= {f"{one.route}/{name}": data for name, data in {**stacked, **one.shared}.items()}
-    drawn = {a.name: a.delta_rad for a in measured.answers if a.delta_rad is not None}
-    if drawn:
-        gaps = {name: datasets({GAP: {"delta_rad": draws}}) for name, draws in drawn.items()}
+    for result in routes:
+        stacked = _stacked({a.name: a.groups for a in result.answers}, config)
+        groups |= {f"{result.route}/{n}": data for n, data in {**stacked, **result.shared}.items()}
+    gap_draws = {a.name: a.delta_rad for a in measured.answers if a.delta_rad is not None}
+    if gap_draws:
+        gaps = {name: datasets({GAP: {"delta_rad": draws}}) for name, draws in gap_draws.items()}
         groups |= _stacked(gaps, config)
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):
         ringing = next((r.ringing_change for r in routes if r.ringing_change is not None), None)
-        groups["change"] = change_group(drawn, ringing)
+        groups["change"] = change_group(gap_draws, ringing)
         if not (measured.without_gap or measured.by_other_joint):
             wear, wear_reason = wear_of(
                 config, measured.answers, task.seeds.wear, measured.change_reason
@@ -53,7 +53,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         "kind": config.kind,
         "route": measured.route,
         "route_code": measured.why.code,
-        "routes": [one.route for one in routes],
+        "routes": [result.route for result in routes],
         "recordings": task.names,
         "interval_level": config.interval.level,
         "interval_kind": config.interval.kind,
@@ -68,7 +68,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     tree.attrs["warnings"] = list(measured.warnings)
     summary = {
         "reason": _reason_of_all(measured),
-        "curve": next((one.curve for one in routes if one.curve), None),
+        "curve": next((result.curve for result in routes if result.curve), None),
         "answer": {"route": measured.route, **measured.why.stored},
     }
     if isinstance(config, CompareConfig):
@@ -92,14 +92,14 @@ def _stacked(
 ) -> dict[str, xr.Dataset]:
     if isinstance(config, CompareConfig):
         return stack_snapshots(groups)
-    (alone,) = groups.values()
-    return dict(alone)
+    (only_recording,) = groups.values()
+    return dict(only_recording)
 
 
 def change_group(drawn: Mapping[str, FloatArray], ringing: FloatArray | None) -> xr.Dataset:
-    """Draws of the change from first to last, and of each step; what there is not is left out.
+    """Draws of the change from first to last and of each step; missing ones are left out.
 
-    ``drawn``: of δ by snapshot in order of time, each (chain, draw), paired by draw.
+    ``drawn``: draws of δ by snapshot in order of time, each (chain, draw), paired by draw.
     """
     values: dict[str, object] = {"ringing_change": ringing}
     if drawn:
@@ -117,7 +117,7 @@ def change_group(drawn: Mapping[str, FloatArray], ringing: FloatArray | None) ->
 
 
 def one_of(reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-    """The first of some stored reasons, the others beneath it as ``also``; ``None`` for none."""
+    """The first of some stored reasons, with the others as its ``also``; ``None`` for none."""
     if not reasons:
         return None
     first, *others = reasons
@@ -126,7 +126,7 @@ def one_of(reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
 
 
 def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
-    """Why answers are withheld: each reason once, with the recordings that it holds for."""
+    """Why answers are withheld: each reason once, with the recordings that it concerns."""
     by_text: dict[str, tuple[Reason, list[str]]] = {}
     for answer in measured.answers:
         for reason in answer.withholding:
@@ -143,9 +143,9 @@ def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
 
 
 def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dict[str, Any]:
-    """Of one recording: the keys of the answer, and under ``routes`` those of every route."""
-    whole = [measured, *measured.beside]
-    routes = {one.route: _of_route(one, one.answers[number], config) for one in whole}
+    """Keys of the answer for one recording, with those of every route under ``routes``."""
+    results = [measured, *measured.beside]
+    routes = {result.route: _of_route(result, result.answers[number], config) for result in results}
     routes |= {
         name: {"route": name, "delta_rad": None, "reason": reason.stored}
         for name, reason in measured.refused.items()
@@ -155,20 +155,20 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
     return {**answer, "amplitude_rpm": ringing, "routes": routes}
 
 
-def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
+def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
     withholding = [reason.stored for reason in answer.withholding]
-    given = None if answer.is_withheld else answer.delta_rad
+    draws = None if answer.is_withheld else answer.delta_rad
     common = common_numbers(answer.groups)
-    no_noise_of_speed = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
+    no_speed_noise = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
     summary = {
-        "route": one.route,
-        "curve": one.curve or None,
+        "route": result.route,
+        "curve": result.curve or None,
         "amplitude_rpm": None,
         "optimum": {},
         **answer.numbers,
-        "noise": no_noise_of_speed | answer.numbers["noise"],
+        "noise": no_speed_noise | answer.numbers["noise"],
         **common,
-        "delta_rad": None if given is None else _interval(given, config),
+        "delta_rad": None if draws is None else _interval(draws, config),
         "delta_upper_bound_rad": answer.upper_bound_rad,
         "diagnostics": {
             **common["diagnostics"],
@@ -183,8 +183,10 @@ def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[
     limit_rad = limit_rad_of(config)
     if limit_rad is not None:
         summary["limit_rad"] = limit_rad
-        above = None if given is None or one.by_other_joint else float(np.mean(given > limit_rad))
-        summary["probability_above_limit"] = above
+        probability = (
+            None if draws is None or result.by_other_joint else float(np.mean(draws > limit_rad))
+        )
+        summary["probability_above_limit"] = probability
     if config.joint.limit is not None:
         limit, windup_rad = config.joint.limit, windup_rad_of(config)
         measured = None
@@ -206,12 +208,12 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         for number in range(count)
     ]
     ringing = next((r for r in (measured, *measured.beside) if r.ringing_change is not None), None)
-    grew = None
-    # With a curve it is δ that is withheld, which the curve alone may be the reason for.
+    ringing_change = None
+    # With a curve, it is δ that is withheld, perhaps for the curve alone: report the ringing.
     if ringing is not None and (
         ringing.curve or not (ringing.answers[0].is_withheld or ringing.answers[-1].is_withheld)
     ):
-        grew = ringing.ringing_change
+        ringing_change = ringing.ringing_change
     return {
         "snapshots": snapshots,
         **_change(measured, 0, count - 1, config),
@@ -219,23 +221,25 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
             {"from": before, "to": after, **_change(measured, n, n + 1, config)}
             for n, (before, after) in enumerate(pairwise(a.name for a in measured.answers))
         ],
-        "ringing_change": None if grew is None else _interval(grew, config),
-        "probability_ringing_grew": None if grew is None else float(np.mean(grew > 0.0)),
+        "ringing_change": None if ringing_change is None else _interval(ringing_change, config),
+        "probability_ringing_grew": None
+        if ringing_change is None
+        else float(np.mean(ringing_change > 0.0)),
         "same_joint": measured.same_joint,
         "routes": {
-            one.route: {
-                **_change(one, 0, count - 1, config),
-                "outcome": one.outcome,
-                "reason": _reason_of_all(one),
-                "same_joint": one.same_joint,
+            result.route: {
+                **_change(result, 0, count - 1, config),
+                "outcome": result.outcome,
+                "reason": _reason_of_all(result),
+                "same_joint": result.same_joint,
             }
-            for one in (measured, *measured.beside)
+            for result in (measured, *measured.beside)
         },
     }
 
 
 def _change(measured: Measurement, first: int, last: int, config: CompareConfig) -> dict[str, Any]:
-    """Of δ between two recordings, where neither is withheld nor the change itself."""
+    """Change of δ between two recordings, unless an answer or the change itself is withheld."""
     ends = [measured.answers[number] for number in (first, last)]
     before, after = (None if end.is_withheld else end.delta_rad for end in ends)
     if before is None or after is None or measured.change_reason is not None:
@@ -251,19 +255,19 @@ def _interval(draws: FloatArray, config: SnapshotConfig) -> Interval:
     return interval(draws, config.interval.level, config.interval.kind)
 
 
-# Back from the tree.
+# From the tree back to answers.
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What one route of a stored result says of one recording.
+    """The stored answer of one route for one recording.
 
     Attributes
     ----------
     route
-        With the groups of all recordings.
+        Tree of the route, with the groups of all recordings.
     summary
-        Its part of the summary; sentences are not in it.
+        Part of the summary for this route and recording, without sentences.
     """
 
     name: str
@@ -279,32 +283,32 @@ class Snapshot:
         return float(self.group(group)[variable])
 
     def values(self, group: str, variable: str) -> FloatArray:
-        """A stored variable, any shape."""
+        """A stored variable of any shape."""
         return np.asarray(self.group(group)[variable].values, dtype=float)
 
     @property
     def time_s(self) -> FloatArray:
-        """Of the recording, shape (n,)."""
+        """Sampling times of the recording, shape (n,)."""
         return self.values("constant_data", "time_s")
 
     def channel(self, name: str) -> FloatArray:
-        """A channel of the recording, whether the route went by it or not, shape (n,)."""
-        went_by = name in self.group("observed_data")
-        return self.values("observed_data" if went_by else "constant_data", name)
+        """A channel of the recording, whether the route used it or not, shape (n,)."""
+        is_observed = name in self.group("observed_data")
+        return self.values("observed_data" if is_observed else "constant_data", name)
 
     @property
     def withheld(self) -> bool:
-        """Whether δ must not be read, or there is none."""
+        """Whether δ is withheld or missing."""
         return self.summary["delta_rad"] is None
 
 
 def routes_of(tree: xr.DataTree) -> list[str]:
-    """Routes that a stored result holds whole, the one that answers first."""
+    """Names of the routes that a result stores in full, the one that answers first."""
     return [str(name) for name in np.atleast_1d(tree.attrs.get("routes", []))]
 
 
 def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot]:
-    """What a route says of every recording of a result, in order; that which answers by default."""
+    """Stored answers of a route (by default the one that answers) for every recording, in order."""
     summary = summary_of(tree)
     route = route or tree.attrs["route"]
     names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
@@ -315,7 +319,7 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot
 
 
 def of_snapshot(group: xr.DataTree, name: str) -> xr.Dataset:
-    """Of one recording, without the dimension ``snapshot`` and others' greater lengths."""
+    """The data of one recording, without dimension ``snapshot`` or padding from longer ones."""
     data = group.to_dataset()
     if STACKED in data.dims:
         data = data.sel({STACKED: name}, drop=True)

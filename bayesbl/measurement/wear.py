@@ -1,25 +1,24 @@
-"""How fast a joint wears, and when its gap reaches a limit: from joint draws of dated snapshots.
+"""How fast a joint wears, and when its gap reaches a limit, from joint draws of dated snapshots.
 
-Path, laws and priors are those of ``docs/design.md``, "Change and wear". Time counts in spans, from
-0 at the first snapshot in use to 1 at the last, so no law has a unit of time; the growth since the
-first snapshot is a multiple of that over the span.
+Path, laws and priors are those of ``docs/design.md``, "Change and wear". Time is measured in spans,
+from 0 at the first snapshot in use to 1 at the last, so no law has a unit of time. The growth since
+the first snapshot is a multiple of the growth over the span.
 
 Law and scatter are drawn by sequential Monte Carlo (Del Moral, Doucet and Jasra 2006) from their
-marginal likelihood: δ(t₁) and Δ have flat priors and are integrated out; between snapshots the
-gamma process is taken as normal with the same mean and covariance, beyond the last it is the gamma
-process itself, with changes of the law that no snapshot can show.
+marginal likelihood, with δ(t₁) and Δ integrated out under flat priors. Between snapshots, the gamma
+process is approximated by a normal one of the same mean and covariance. Beyond the last snapshot it
+is the gamma process itself, with changes of the law that no snapshot can show.
 
-The path is laid through *each joint draw* of the gaps, each with a law of its own. What the
-snapshots share, the curve's coefficients and the bench, is thereby one draw for all of them; a
-factor that they share makes another path of the same law. Weights come from what they do not
-share.
+A path is fitted to *each joint draw* of the gaps, with a law of its own. An error that the
+snapshots share, of curve or bench, is thereby one draw for all of them, and a shared factor gives
+another path of the same law. The errors that they do not share determine the weights.
 
-Wear does not heal: paths that fall are left out. Rate and date must therefore never be read as a
-sign of wear; that is what :func:`trend` is for, which may have either sign.
+Wear does not heal, so falling paths are dropped. Rate and date must therefore never be read as a
+sign of wear. Use :func:`trend` for that, which may have either sign.
 
-**Stored.** :data:`DATES` and, where there is a rate, :data:`WEAR` as one group of ``result.nc``.
-Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with ``drift_widens``
-where the gaps drift, ``width_over_prior`` of the date. The keys of the summary are those of
+**Stored.** :data:`DATES` and, if there is a rate, :data:`WEAR` as one group of ``result.nc``.
+Attributes: ``decide_before`` if requested, ``relative_sd_per_date`` with ``drift_widens`` if the
+gaps drift, ``width_over_prior`` of the date. The keys of the summary are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.
 """
 
@@ -48,20 +47,20 @@ from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 
 HAZARD = 1.5
-"""Changes of regime to be expected while the age grows e-fold."""
+"""Expected changes of regime per e-fold of the age."""
 
 EXPONENT = (1.8, 1.0)
 FACTOR = (1.3, 1.3)
 AGE = (0.03, 10.0)
 
 CHANGES, AHEAD = 2, 4
-"""Changes between the snapshots and ahead of them at most."""
+"""Largest number of changes between the snapshots, and after them."""
 
 NORMALS = 2 + 3 * CHANGES
-"""Standard normal numbers that make one law: age, exponents, changes and their factors."""
+"""Standard normal numbers that define one law: age, exponents, changes and their factors."""
 
 _LARGEST_EXPONENT = 300.0
-"""Powers of e beyond this are as good as infinite; above 700 they overflow."""
+"""Exponents beyond this count as infinite; above 700 the exponential overflows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ class Kind:
     @property
     def probability(self) -> float:
         median, deviation = EXPONENT
-        low, high = (np.log(np.asarray(each) / median) / deviation for each in self.exponents)
+        low, high = (np.log(np.asarray(end) / median) / deviation for end in self.exponents)
         return float(ndtr(high) - ndtr(low))
 
 
@@ -85,58 +84,59 @@ KINDS = (
     Kind("speeding_up", (2.0, 3.5)),
     Kind("speeding_up", (3.5, 1e9)),
 )
-"""Kinds of wear, which mean the same for every joint, so that joints may share them."""
+"""Kinds of wear. They mean the same for every joint, so that joints may share them."""
 
 
 def shares(kind: NDArray[np.int_] | FloatArray) -> dict[str, float]:
-    """Share of each law among the draws of a kind, all of them."""
+    """Share of each law among draws of the kind."""
     counted = np.bincount(kind.astype(int).ravel(), minlength=len(KINDS)) / kind.size
     return by_law(counted)
 
 
 def by_law(share: FloatArray) -> dict[str, float]:
-    """Shares of kinds, summed over those of one law."""
+    """Sum the shares of kinds over those of one law."""
     total = dict.fromkeys((kind.law for kind in KINDS), 0.0)
-    for kind, each in zip(KINDS, share, strict=True):
-        total[kind.law] += float(each)
+    for kind, kind_share in zip(KINDS, share, strict=True):
+        total[kind.law] += float(kind_share)
     return total
 
 
 @dataclass(frozen=True, slots=True)
 class Laws:
-    """Laws of wear, one a particle, in regimes from the first snapshot on.
+    """Laws of wear, one per particle, in regimes from the first snapshot on.
 
     Attributes
     ----------
     rows
-        Shape (1 + 3 regimes, particle): the age at the first snapshot in spans; ln of the age at
-        which each regime starts over that at the first snapshot, ascending, the first 0; the
-        exponent of each; the factor of the rate as each starts.
+        Shape (1 + 3 regimes, particle): the age at the first snapshot in spans; for each regime
+        ln(age at its start / age at the first snapshot), ascending, the first 0; the exponent of
+        each; the factor by which the rate changes at the start of each.
     """
 
     rows: FloatArray
 
     @classmethod
     def until_now(cls, normal: FloatArray, age: float | None = None) -> Laws:
-        """Laws up to the last snapshot from standard normal numbers, (``NORMALS``, particle).
+        """Laws up to the last snapshot, from standard normal numbers of shape (``NORMALS``,
+        particle).
 
-        Changes are counted back from the last snapshot: where they come at random, that is as good
-        as counting from the first, and the latest ones matter most. ``age`` is that at the first
-        snapshot where it is known.
+        Changes are counted back from the last snapshot. They come at random, so this is equivalent
+        to counting from the first, and the latest ones matter most. ``age`` is the age at the first
+        snapshot, if known.
         """
         exponents, waits, factors = np.split(normal[1:], [CHANGES + 1, 2 * CHANGES + 1])
         low, high = AGE
         ages = low * (high / low) ** ndtr(normal[:1])
         if age is not None:
             ages = np.full(ages.shape, max(age, 1e-3))
-        back = np.log1p(1.0 / ages) - np.cumsum(_waits(waits), axis=0)[::-1]
-        start, factor = np.maximum(back, 0.0), _log_normal(FACTOR, factors)
+        log_start = np.log1p(1.0 / ages) - np.cumsum(_waits(waits), axis=0)[::-1]
+        start, factor = np.maximum(log_start, 0.0), _log_normal(FACTOR, factors)
         first = np.zeros(ages.shape)
         exponent = _log_normal(EXPONENT, exponents)
         return cls(np.concatenate([ages, first, start, exponent, first + 1.0, factor]))
 
     def and_ahead(self, generator: np.random.Generator) -> Laws:
-        """The same with changes ahead of the last snapshot, as believed beforehand."""
+        """Add changes after the last snapshot, drawn from the prior."""
         count = self.rows.shape[1]
         waits, exponents, factors = generator.standard_normal((3, AHEAD, count))
         start = self._log_age(1.0) + np.cumsum(_waits(waits), axis=0)
@@ -149,11 +149,11 @@ class Laws:
         return self.rows[1:].reshape(3, -1, self.rows.shape[1])
 
     def _log_age(self, elapsed: FloatArray | float) -> FloatArray:
-        """ln of the age so many spans after the first snapshot over that at it."""
+        """ln(age / age at the first snapshot), ``elapsed`` spans after that snapshot."""
         return np.asarray(np.log1p(np.asarray(elapsed) / self.rows[0]))
 
     def grown(self, elapsed: FloatArray) -> FloatArray:
-        """Growth in multiples of that over the span; ``elapsed`` has shape (…, particle)."""
+        """Growth as a multiple of that over the span; ``elapsed`` has shape (…, particle)."""
         return self._grown(elapsed) / self._grown(np.ones(self.rows.shape[1]))
 
     def _grown(self, elapsed: FloatArray) -> FloatArray:
@@ -165,7 +165,7 @@ class Laws:
         return total
 
     def _regimes(self) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-        """Start, end and exponent p of each regime; growth where e^(p (ln age − start)) is 2."""
+        """Start, end, exponent p, scale of regimes: growth = scale (e^(p (ln age − start)) − 1)."""
         starts, exponents, factors = self._parts()
         ends = np.concatenate([starts[1:], np.full((1, starts.shape[1]), np.inf)])
         log_rate = np.zeros(starts.shape[1])
@@ -175,28 +175,28 @@ class Laws:
             log_rate = log_rate + (exponent - 1.0) * (end - start)
 
     def kind(self) -> NDArray[np.int_]:
-        """Number in :data:`KINDS` of the regime at the last snapshot, (particle,)."""
+        """Index in :data:`KINDS` of the regime at the last snapshot, (particle,)."""
         bounds = [kind.exponents[1] for kind in KINDS[:-1]]
         return np.asarray(np.searchsorted(bounds, self._parts()[1, CHANGES]))
 
     def time_of(self, growth: FloatArray, longest: float) -> FloatArray:
-        """Time in spans, at most ``longest``, at which so much of that over the span is there."""
-        missing = growth * self._grown(np.ones(self.rows.shape[1]))
+        """Time in spans, up to ``longest``, at ``growth`` times the growth over the span."""
+        remaining = growth * self._grown(np.ones(self.rows.shape[1]))
         log_age = np.zeros(growth.shape)
         for start, end, exponent, scale in self._regimes():
-            whole = scale * np.expm1(_small(exponent * (end - start)))
-            last = np.log1p(np.clip(missing, 0.0, whole) / scale) / exponent
-            log_age = np.where(missing > 0.0, start + last, log_age)
-            missing = missing - whole
+            regime_growth = scale * np.expm1(_small(exponent * (end - start)))
+            within_regime = np.log1p(np.clip(remaining, 0.0, regime_growth) / scale) / exponent
+            log_age = np.where(remaining > 0.0, start + within_regime, log_age)
+            remaining = remaining - regime_growth
         return np.asarray(np.minimum(self.rows[0] * np.expm1(_small(log_age)), longest))
 
     def changes_before(self, elapsed: FloatArray) -> NDArray[np.bool_]:
-        """Whether wear changes between the last snapshot and so many spans, (particle,)."""
+        """Whether the law changes between the last snapshot and ``elapsed`` spans, (particle,)."""
         return np.asarray(self._parts()[0, CHANGES + 1] < self._log_age(elapsed))
 
 
 def _waits(normal: FloatArray) -> FloatArray:
-    """Exponentially distributed e-foldings of the age from one change to the next."""
+    """Exponentially distributed e-folds of the age between successive changes."""
     return np.asarray(-np.log(ndtr(normal)) / HAZARD)
 
 
@@ -209,29 +209,29 @@ def _small(exponent: FloatArray) -> FloatArray:
 
 
 FEWEST_FOR_SCATTER = 4
-"""Snapshots from which on irregular wear can be told from errors of measuring."""
+"""Fewest snapshots that can distinguish irregular wear from measurement errors."""
 
 LEAST_SHARE_GROWING = 0.01
-"""Share of draws that grow below which the gap has shrunk, which wear cannot do."""
+"""Least share of growing draws; below it the gap has shrunk, which wear cannot do."""
 
 FALSE_ALARM = 0.01
-"""How often gaps that never fell are said to have fallen between two dates."""
+"""Probability of reporting a fall between two dates if the gap never fell."""
 
 LONGEST_YEARS = 1000.0
-"""Times to the limit are cut here: a rate near 0 makes them as long as one likes."""
+"""Longest time to the limit: with a rate near 0 it would have no bound."""
 
 SCATTER = (0.001, 0.8)
 """Range of the log-uniform prior of σ, in multiples of the growth over the span."""
 
 PARTICLES = 2048
 LEAST_EFFECTIVE = 0.5
-"""Share of particles that a step of tempering leaves effective."""
+"""Share of particles that stay effective in a step of tempering."""
 
 MOVES = 4
 """Metropolis steps of every particle after each step of tempering."""
 
 _SMOOTH = 1e4
-"""More jumps than this between the gap and its limit are as good as none."""
+"""With more jumps than this between gap and limit, growth counts as smooth."""
 
 
 WEAR = Group(
@@ -251,12 +251,12 @@ WEAR = Group(
 )
 """Wear of one joint since its last repair; chains and draws are those of the gaps.
 
-``law`` is a number in :data:`KINDS`, ``law_shape`` is :attr:`Laws.rows`, ``expected_growth_rad`` Δ,
-and ``scatter_rad_per_root_year`` σ over the root of the span. ``years_to_limit`` is 0 where δ is
-beyond the limit, at most ``LONGEST_YEARS``; it and ``changes_ahead``, which nothing measured can
-show, are there where there is a limit. The attribute ``width_over_prior`` is the width of the 90 %
-interval of ln years_to_limit over that with the same gap and mean rate but laws as believed
-beforehand; it is missing where hardly a draw has the limit ahead.
+``law`` is an index in :data:`KINDS`, ``law_shape`` is :attr:`Laws.rows`, ``expected_growth_rad`` is
+Δ, and ``scatter_rad_per_root_year`` is σ over the root of the span. ``years_to_limit`` is 0 if δ is
+beyond the limit, and at most ``LONGEST_YEARS``. It is present if there is a limit, as is
+``changes_ahead``, which no measurement can show. The attribute ``width_over_prior`` is the width of
+the 90 % interval of ln years_to_limit, over that with the same gap and mean rate but laws from the
+prior. It is missing if hardly any draw has the limit ahead.
 """
 
 DATES = Group(
@@ -266,32 +266,32 @@ DATES = Group(
         used (dated) | 1 | 1 where taken since the last repair
     """),
 )
-"""What the group :data:`WEAR` holds of dated snapshots, whether there is a rate or not."""
+"""Variables of group :data:`WEAR` for dated snapshots, present with or without a rate."""
 
 
 def fall(delta_rad: FloatArray) -> tuple[int, float, float] | None:
-    """The surest fall of the gap from one snapshot to the next, which wear rules out.
+    """Find the most significant fall of the gap between successive snapshots, which wear rules out.
 
-    From joint draws, (snapshot, chain, draw), in rad: what snapshots share falls nowhere.
+    Uses joint draws, (snapshot, chain, draw), rad, so that shared errors cause no fall.
 
     Returns
     -------
-    Number of the snapshot that lies below the one before it, by how many rad, and by how many
-    standard deviations; ``None`` where errors of measuring make a fall as sure as this somewhere
-    with a probability of ``FALSE_ALARM`` (Bonferroni).
+    Index of the snapshot below its predecessor, the fall in rad, and the fall in standard
+    deviations. ``None`` if measurement errors cause a fall as significant as this somewhere with a
+    probability of ``FALSE_ALARM`` or more (Bonferroni).
     """
     falls = -np.diff(delta_rad.reshape(len(delta_rad), -1), axis=0)
-    middle, spread = falls.mean(axis=1), falls.std(axis=1)
-    deviations = middle / np.maximum(spread, 1e-12 * np.abs(delta_rad).max())
-    surest = int(np.argmax(deviations))
-    deviation = float(deviations[surest])
+    mean, sd = falls.mean(axis=1), falls.std(axis=1)
+    deviations = mean / np.maximum(sd, 1e-12 * np.abs(delta_rad).max())
+    most_significant = int(np.argmax(deviations))
+    deviation = float(deviations[most_significant])
     if len(falls) * normal_sf(deviation) >= FALSE_ALARM:
         return None
-    return surest + 1, float(middle[surest]), deviation
+    return most_significant + 1, float(mean[most_significant]), deviation
 
 
 def since_repair(repaired: Sequence[bool]) -> slice:
-    """The snapshots from the last that was the first after a repair, or all of them."""
+    """The snapshots since the last repair, or all if there was none."""
     starts = [number for number, flag in enumerate(repaired) if flag]
     return slice(starts[-1] if starts else 0, len(repaired))
 
@@ -299,7 +299,7 @@ def since_repair(repaired: Sequence[bool]) -> slice:
 def trend(delta_rad: FloatArray, years: FloatArray) -> FloatArray:
     """Slope of the straight line through each joint draw, of either sign, rad/year.
 
-    Whatever the law, its sign is that of the wear. Parameters as :func:`wear` takes them.
+    Its sign is that of the wear under any law. Parameters as for :func:`wear`.
     """
     gaps = delta_rad.reshape(len(years), -1)
     elapsed = np.broadcast_to(years[:, None] - years[0], gaps.shape)
@@ -317,22 +317,22 @@ def wear(
 ) -> xr.Dataset | None:
     """Law, rate, present gap and time to the limit, from snapshots without a repair between them.
 
-    As group :data:`WEAR`; ``None`` where less than ``LEAST_SHARE_GROWING`` of the draws grow: the
-    gap shrank.
+    Returns group :data:`WEAR`, or ``None`` if less than ``LEAST_SHARE_GROWING`` of the draws grow:
+    the gap shrank.
 
     Parameters
     ----------
     delta_rad
         Draws of the gaps, paired by draw, shape (snapshot, chain, draw), two snapshots or more.
     years
-        When each was taken, from any origin, shape (snapshot,), ascending, not all the same.
+        Time of each snapshot, from any origin, shape (snapshot,), ascending, not all the same.
     age_years
-        How long the joint had worn at the first snapshot; ``None`` where nobody knows.
+        Time in service at the first snapshot; ``None`` if unknown.
 
     Raises
     ------
     ValueError
-        Where the times give no rate.
+        If the times give no rate.
     """
     span = float(years[-1] - years[0])
     if len(years) < 2 or span <= 0.0 or np.any(np.diff(years) < 0.0):
@@ -346,38 +346,38 @@ def wear(
     elapsed, scatter = problem.growth(normal), problem.scatter(normal)
     steps = np.sqrt(np.diff(elapsed, axis=0, prepend=0.0))
     path = scatter * np.cumsum(steps * generator.standard_normal(gaps.shape), axis=0)
-    # Matheron's rule: the line through what a drawn path leaves of a draw is a draw of the line.
+    # Matheron's rule: a line fitted to (draw − drawn path) is a draw of the line.
     (first, growth), _ = _fit(gaps - path, elapsed, problem.own, scatter**2)
     current = first + growth + path[-1]
     grows = np.flatnonzero((growth > scatter / SCATTER[1]) & (current > first))
     if grows.size < LEAST_SHARE_GROWING * count:
         return None
-    # Every draw that falls gives its place to one that grows.
+    # Replace every falling draw by a growing one.
     place = np.arange(count)
     place[np.setdiff1d(place, grows)] = generator.choice(grows, count - grows.size)
     laws = problem.laws(normal[:, place]).and_ahead(generator)
     first, growth, current, scatter = (x[place] for x in (first, growth, current, scatter))
-    before = np.full(count, 1.0 - 1e-3)
+    just_before = np.full(count, 1.0 - 1e-3)
     values = {
         "law": laws.kind(),
         "law_shape": laws.rows,
         "first_rad": first,
         "current_rad": current,
         "expected_growth_rad": growth,
-        "rate_now_rad_per_year": growth * (1.0 - laws.grown(before)) / (1e-3 * span),
+        "rate_now_rad_per_year": growth * (1.0 - laws.grown(just_before)) / (1e-3 * span),
         "scatter_rad_per_root_year": scatter / np.sqrt(span),
     }
     attrs = {}
     if limit_rad is not None:
         needed = _growth_needed(limit_rad - current, scatter**2 / growth, generator)
-        believed = problem.laws(generator.standard_normal(normal.shape)).and_ahead(generator)
+        prior_laws = problem.laws(generator.standard_normal(normal.shape)).and_ahead(generator)
         longest = 1.0 + LONGEST_YEARS / span
-        spans, prior = (x.time_of(1.0 + needed / growth, longest) for x in (laws, believed))
+        spans, prior_spans = (x.time_of(1.0 + needed / growth, longest) for x in (laws, prior_laws))
         is_ahead = needed > 0.0
         values["years_to_limit"] = np.where(is_ahead, span * (spans - 1.0), 0.0)
         values["changes_ahead"] = np.where(is_ahead & laws.changes_before(spans), 1.0, 0.0)
         if is_ahead.mean() > LEAST_SHARE_GROWING:
-            width = _log_width(spans[is_ahead] - 1.0) / _log_width(prior[is_ahead] - 1.0)
+            width = _log_width(spans[is_ahead] - 1.0) / _log_width(prior_spans[is_ahead] - 1.0)
             attrs["width_over_prior"] = width
     draws = delta_rad.shape[1:]
     values = {name: v.reshape(*v.shape[:-1], *draws) for name, v in values.items()}
@@ -392,17 +392,17 @@ def _log_width(times: FloatArray) -> float:
 
 def own_variance(gaps: FloatArray) -> FloatArray:
     """Variance of each gap that it does not share with the others, shape (snapshot,), rad²."""
-    middle = gaps.mean(axis=1)
-    relative = np.cov(gaps / middle[:, None])
+    mean = gaps.mean(axis=1)
+    relative = np.cov(gaps / mean[:, None])
     variance = np.diag(relative)
     shared = (relative.sum() - variance.sum()) / (relative.size - variance.size)
-    # A floor: gaps that share all but rounding must not be taken for exact.
-    return np.asarray(np.maximum(variance - shared, 1e-4 * variance + 1e-18) * middle**2)
+    # A floor: gaps that share all but rounding must not count as exact.
+    return np.asarray(np.maximum(variance - shared, 1e-4 * variance + 1e-18) * mean**2)
 
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """What is measured, in spans of time: means and own variances of the gaps, (snapshot,)."""
+    """The measured gaps, time in spans: means and unshared variances, (snapshot,)."""
 
     middle: FloatArray
     own: FloatArray
@@ -412,10 +412,10 @@ class _Problem:
 
     @classmethod
     def of(cls, gaps: FloatArray, elapsed: FloatArray, age: float | None) -> _Problem:
-        own = own_variance(gaps)
+        own_variances = own_variance(gaps)
         slope = trend(gaps[:, None, :], elapsed)
         scale = max(float(slope.mean()), float(slope.std()))
-        return cls(gaps.mean(axis=1), own, elapsed, scale, age)
+        return cls(gaps.mean(axis=1), own_variances, elapsed, scale, age)
 
     def laws(self, normal: FloatArray) -> Laws:
         return Laws.until_now(normal[:NORMALS], self.age)
@@ -425,37 +425,38 @@ class _Problem:
         return np.asarray(self.scale_rad * low * (high / low) ** ndtr(normal[NORMALS]))
 
     def growth(self, normal: FloatArray) -> FloatArray:
-        """u at each snapshot, shape (snapshot, particle)."""
+        """Growth u at each snapshot, shape (snapshot, particle)."""
         return self.laws(normal).grown(self.elapsed[:, None])
 
     def log_likelihood(self, normal: FloatArray) -> FloatArray:
         growth, variance = self.growth(normal), self.scatter(normal) ** 2
-        middle = np.broadcast_to(self.middle[:, None], growth.shape)
-        return _fit(middle, growth, self.own, variance)[1]
+        mean = np.broadcast_to(self.middle[:, None], growth.shape)
+        return _fit(mean, growth, self.own, variance)[1]
 
 
 def _fit(
-    gaps: FloatArray, growth: FloatArray, own: FloatArray, variance: FloatArray
+    gaps: FloatArray, growth: FloatArray, unshared_variance: FloatArray, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """δ(t₁) and Δ by generalised least squares, (2, particle), and ln of the restricted likelihood.
+    """Fit δ(t₁) and Δ by generalised least squares; return them, (2, particle), and ln likelihood.
 
-    Of gaps = δ(t₁) + Δ u + W + errors, W a normal walk of variance ``variance`` u, all but ``own``
-    of shape (snapshot, particle) or (particle,). A Kalman filter takes the walk out, one snapshot
-    after the other, so that n of them cost n.
+    The model is gaps = δ(t₁) + Δ u + W + errors, with W a normal random walk of variance
+    ``variance`` · u. The likelihood is the restricted one. All arguments but
+    ``unshared_variance`` have shape (snapshot, particle) or (particle,). A Kalman filter removes
+    the walk one snapshot at a time, so the cost is linear in the snapshots.
     """
     columns = np.stack([np.ones(gaps.shape), growth, gaps - gaps[0]])
-    state, uncertain = np.zeros((3, gaps.shape[1])), np.zeros(gaps.shape[1])
+    state, state_variance = np.zeros((3, gaps.shape[1])), np.zeros(gaps.shape[1])
     products, log_determinant = np.zeros((3, 3, gaps.shape[1])), 0.0
-    before = np.zeros(gaps.shape[1])
-    for number, noise in enumerate(own):
-        uncertain = uncertain + variance * (growth[number] - before)
-        before = growth[number]
-        total = uncertain + noise
-        innovation = columns[:, number] - state
-        products += innovation[:, None] * innovation[None] / total
-        log_determinant = log_determinant + np.log(total)
-        gain = uncertain / total
-        state, uncertain = state + gain * innovation, uncertain * (1.0 - gain)
+    previous = np.zeros(gaps.shape[1])
+    for k, noise in enumerate(unshared_variance):
+        state_variance = state_variance + variance * (growth[k] - previous)
+        previous = growth[k]
+        innovation_variance = state_variance + noise
+        innovation = columns[:, k] - state
+        products += innovation[:, None] * innovation[None] / innovation_variance
+        log_determinant = log_determinant + np.log(innovation_variance)
+        gain = state_variance / innovation_variance
+        state, state_variance = state + gain * innovation, state_variance * (1.0 - gain)
     (a, b, e), (_, c, f), (_, _, squares) = products
     determinant = a * c - b * b
     line = np.stack([c * e - b * f, a * f - b * e]) / determinant
@@ -466,76 +467,75 @@ def _fit(
 
 
 def _tempered(problem: _Problem, generator: np.random.Generator) -> FloatArray:
-    """Standard normal numbers of equally likely laws and scatters, by tempering the likelihood."""
+    """Standard normal numbers of equally weighted laws and scatters, by tempering: the
+    likelihood is raised to the power ``beta``, from 0 to 1."""
     from scipy.stats import qmc
 
     uniform = qmc.Sobol(NORMALS + 1, rng=generator).random(PARTICLES)
     normal = ndtri(np.clip(uniform.T, 1e-9, 1.0 - 1e-9))
-    likely, done = problem.log_likelihood(normal), 0.0
-    while done < 1.0:
-        step = _step(likely, 1.0 - done)
-        done += step
-        weight = np.exp(step * (likely - likely.max()))
-        ladder = (np.arange(PARTICLES) + generator.uniform()) / PARTICLES
-        chosen = np.searchsorted(np.cumsum(weight / weight.sum()), ladder)
-        chosen = generator.permutation(np.minimum(chosen, PARTICLES - 1))
-        normal, likely = normal[:, chosen], likely[chosen]
+    log_likelihood, beta = problem.log_likelihood(normal), 0.0
+    while beta < 1.0:
+        step = _step(log_likelihood, 1.0 - beta)
+        beta += step
+        weight = np.exp(step * (log_likelihood - log_likelihood.max()))
+        quantiles = (np.arange(PARTICLES) + generator.uniform()) / PARTICLES
+        ancestors = np.searchsorted(np.cumsum(weight / weight.sum()), quantiles)
+        ancestors = generator.permutation(np.minimum(ancestors, PARTICLES - 1))
+        normal, log_likelihood = normal[:, ancestors], log_likelihood[ancestors]
         for _ in range(MOVES):
-            # Along the difference of two others, in some of the numbers (ter Braak 2006).
-            others = normal[:, generator.permutation(PARTICLES)]
-            apart = normal[:, generator.permutation(PARTICLES)] - others
+            # Differential-evolution step in a subset of the coordinates (ter Braak 2006).
+            first_other = normal[:, generator.permutation(PARTICLES)]
+            difference = normal[:, generator.permutation(PARTICLES)] - first_other
             size = generator.choice([0.1, 0.4, 0.8], PARTICLES)
-            touched = generator.uniform(size=normal.shape) < generator.choice(
+            mask = generator.uniform(size=normal.shape) < generator.choice(
                 [0.2, 0.5, 1.0], PARTICLES
             )
             noise = 0.01 * generator.standard_normal(normal.shape)
-            moved = normal + np.where(touched, size * apart, 0.0) + noise
-            proposed_likelihood = problem.log_likelihood(moved)
-            gain = done * (proposed_likelihood - likely) - 0.5 * np.sum(
-                moved**2 - normal**2, axis=0
+            proposal = normal + np.where(mask, size * difference, 0.0) + noise
+            proposed_likelihood = problem.log_likelihood(proposal)
+            log_ratio = beta * (proposed_likelihood - log_likelihood) - 0.5 * np.sum(
+                proposal**2 - normal**2, axis=0
             )
-            taken = np.log(generator.uniform(size=PARTICLES)) < gain
-            normal = np.where(taken, moved, normal)
-            likely = np.where(taken, proposed_likelihood, likely)
+            accepted = np.log(generator.uniform(size=PARTICLES)) < log_ratio
+            normal = np.where(accepted, proposal, normal)
+            log_likelihood = np.where(accepted, proposed_likelihood, log_likelihood)
     return np.asarray(normal)
 
 
-def _step(likely: FloatArray, most: float) -> float:
-    """How far to temper so that ``LEAST_EFFECTIVE`` of the particles stay effective."""
+def _step(log_likelihood: FloatArray, largest: float) -> float:
+    """Largest tempering step that keeps ``LEAST_EFFECTIVE`` of the particles effective."""
 
     def effective(step: float) -> float:
-        weight = np.exp(step * (likely - likely.max()))
-        return float(weight.sum() ** 2 / np.sum(weight**2)) / likely.size
+        weight = np.exp(step * (log_likelihood - log_likelihood.max()))
+        return float(weight.sum() ** 2 / np.sum(weight**2)) / log_likelihood.size
 
-    if effective(most) >= LEAST_EFFECTIVE:
-        return most
-    return float(bisect(lambda step: effective(step) - LEAST_EFFECTIVE, 0.0, most))
+    if effective(largest) >= LEAST_EFFECTIVE:
+        return largest
+    return float(bisect(lambda step: effective(step) - LEAST_EFFECTIVE, 0.0, largest))
 
 
 def _growth_needed(
     distance: FloatArray, jump: FloatArray, generator: np.random.Generator
 ) -> FloatArray:
-    """Mean growth until a gamma process first covers a distance, 0 where it is behind.
-
-    A mean growth of m is a gamma distribution of shape m / jump and scale ``jump``: the shape at
-    which a uniform share of it lies below the distance.
-    """
-    ahead = np.maximum(distance, 0.0)
-    jumps = np.clip(ahead / jump, 1e-12, _SMOOTH)
+    """Mean growth at which a gamma process first covers a distance; 0 if it already has. At a mean
+    growth of m, the growth is gamma distributed with shape m / jump and scale ``jump``. The result
+    is the m at which a uniformly drawn share of it lies below the distance."""
+    distance_ahead = np.maximum(distance, 0.0)
+    jumps = np.clip(distance_ahead / jump, 1e-12, _SMOOTH)
     shape = gdtrib(1.0, generator.uniform(size=jumps.size), jumps)
-    return np.where(jumps < _SMOOTH, shape * jump, ahead) * (distance > 0.0)
+    return np.where(jumps < _SMOOTH, shape * jump, distance_ahead) * (distance > 0.0)
 
 
 DAYS_PER_YEAR = 365.25
 
 
 def years_between(first: Date, last: Date) -> float:
-    """Time from one date to another."""
+    """Time from one date to another, years."""
     return (last - first).days / DAYS_PER_YEAR
 
 
 def date_after(first: Date, years: float) -> Date | None:
-    """The day so many years later; ``None`` where that is beyond what is computed."""
+    """The day ``years`` later; ``None`` beyond ``LONGEST_YEARS``."""
     if years >= LONGEST_YEARS:
         return None
     return first + timedelta(days=round(years * DAYS_PER_YEAR))
@@ -547,19 +547,19 @@ def wear_of(
     seed: np.random.SeedSequence,
     change_reason: Reason | None = None,
 ) -> tuple[xr.Dataset | None, Reason | None]:
-    """Group :data:`WEAR` of a comparison, with its :data:`DATES`, and why it has no rate.
+    """Group :data:`WEAR` of a comparison with its :data:`DATES`, and the reason if it has no rate.
 
-    ``None`` where not every recording has a date. ``change_reason`` is why the change of the gap is
-    withheld, which withholds its rate too.
+    The group is ``None`` unless every recording has a date. ``change_reason`` says why the change
+    of the gap is withheld, which withholds its rate too.
     """
     dates = config.dates
     if dates is None:
         return None, None
     used = since_repair([recording.repaired for recording in config.recordings])
     since, chosen = dates[used], answers[used]
-    taken = np.zeros(len(dates))
-    taken[used] = 1.0
-    group = dataset(DATES, {"date": [d.isoformat() for d in dates], "used": taken})
+    is_used = np.zeros(len(dates))
+    is_used[used] = 1.0
+    group = dataset(DATES, {"date": [d.isoformat() for d in dates], "used": is_used})
     if config.joint.decide_before is not None:
         group.attrs["decide_before"] = config.joint.decide_before.isoformat()
     if since[0] == since[-1]:
@@ -573,21 +573,21 @@ def wear_of(
     years = np.array([years_between(since[0], day) for day in since])
     drift_seed, wear_seed = seed.spawn(2)
     measured = np.stack([a.delta_rad for a in chosen if a.delta_rad is not None])
-    drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
+    gap_draws = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
     start, limit = config.wear.in_service_since, limit_rad_of(config)
     age = None if start is None else max(years_between(start, since[0]), 0.0)
-    if (fell := fall(drawn)) is not None:
-        number, fall_rad, deviations = fell
+    if (significant_fall := fall(gap_draws)) is not None:
+        number, fall_rad, deviations = significant_fall
         values = {"name": chosen[number].name, "fall_rad": fall_rad}
         return group, Reason("gap_fell", {**values, "standard_deviations": deviations})
-    forecast = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
+    forecast = wear(gap_draws, years, wear_seed, limit_rad=limit, age_years=age)
     if forecast is None:
         return group, Reason("gap_shrank")
     group = group.merge(forecast).assign_attrs({**group.attrs, **forecast.attrs})
     if config.wear.relative_sd_per_date > 0.0:
         group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
         group.attrs["drift_widens"] = float(
-            trend(drawn, years).std() / trend(measured, years).std()
+            trend(gap_draws, years).std() / trend(measured, years).std()
         )
     return group, None
 
@@ -595,9 +595,9 @@ def wear_of(
 def _drifting(
     delta_rad: FloatArray, relative_sd: float, seed: np.random.SeedSequence
 ) -> FloatArray:
-    """Draws of gaps that temperature, grease and the like may have moved, each date by itself."""
-    moved = np.random.default_rng(seed).standard_normal(delta_rad.shape)
-    return np.asarray(delta_rad * np.exp(relative_sd * moved))
+    """Add independent scatter at each date, for effects of temperature, grease and the like."""
+    noise = np.random.default_rng(seed).standard_normal(delta_rad.shape)
+    return np.asarray(delta_rad * np.exp(relative_sd * noise))
 
 
 def used_dates(group: xr.Dataset) -> list[Date]:
@@ -613,15 +613,15 @@ class WearDraws:
     Attributes
     ----------
     rate_rad_per_year
-        Mean from the first snapshot in use to the last.
+        Mean rate from the first snapshot in use to the last.
     kind
-        Of the law at the last snapshot, its number in :data:`KINDS`.
+        Index in :data:`KINDS` of the law at the last snapshot.
     jump_rad
         Mean jump of irregular wear: variance of the growth over its mean.
     years_to_limit
         ``None`` without a limit.
     probability_wear
-        That the gap grows at all, by lines of either sign.
+        Probability that the gap grows at all, from lines of either sign.
     """
 
     rate_rad_per_year: FloatArray
@@ -633,7 +633,7 @@ class WearDraws:
 
     @classmethod
     def of(cls, group: xr.Dataset) -> WearDraws | None:
-        """From group :data:`WEAR`; ``None`` where it has dates and no rate."""
+        """Read group :data:`WEAR`; ``None`` if it has dates but no rate."""
         if "law" not in group:
             return None
         dates = used_dates(group)
@@ -649,7 +649,7 @@ class WearDraws:
         )
 
     def at(self, draws: NDArray[np.int_]) -> WearDraws:
-        """Some of the draws, by their numbers."""
+        """Select draws by index."""
         return WearDraws(
             self.rate_rad_per_year[draws],
             self.kind[draws],
@@ -662,7 +662,7 @@ class WearDraws:
     def summary(self, last: Date, of: IntervalConfig, before: Date | None) -> dict[str, Any]:
         """Keys of :class:`WearSummary` that follow from the draws.
 
-        ``last``: date of the last snapshot; ``before``: that to decide before.
+        ``last``: date of the last snapshot; ``before``: the date to decide before.
         """
         level, kind = of.level, of.kind
         result: dict[str, Any] = {
@@ -694,7 +694,7 @@ def summarise_wear(
     limit_rad: float | None,
     stated_limit: str | None = None,
 ) -> dict[str, Any]:
-    """``wear`` of the summary of a comparison (see the module), but for its ``reason``."""
+    """Entry ``wear`` of a comparison's summary (see the module), without its ``reason``."""
     before = group.attrs.get("decide_before")
     dates = used_dates(group)
     result: dict[str, Any] = dict.fromkeys(WearSummary.__annotations__)

@@ -1,8 +1,8 @@
-"""Noise of several channels together, from what does not repeat from one load rotation to the next.
+"""Noise of several channels together, from the differences between load rotations.
 
 The counterpart of :mod:`bayesbl.noise.rotation_noise`, which treats the speed alone. Noise that
-passes through the controller is in speed and current, and a likelihood that takes them for
-independent would count it twice.
+passes through the controller is in speed and current. A likelihood that treats them as independent
+would count it twice.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CIRCLE = 1000
 """Samples after which noise is forgotten."""
 
 NEGLIGIBLE = 0.01
-"""Of a channel's variance: what cannot be seen of its error is not counted if it is less."""
+"""Share of a channel's variance below which unseen rounding is neglected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +40,8 @@ class ChannelNoise:
     differences
         Number of rotation differences behind the estimate.
     repeats
-        Whether part of it is the same in every rotation, as rounding may be. Then what does not
-        repeat is no measure of it.
+        Whether part of the noise is the same in every rotation, as rounding may be. Differences
+        between rotations then do not measure it.
     """
 
     coefficients: FloatArray
@@ -56,9 +56,9 @@ class ChannelNoise:
         return len(self.coefficients)
 
     def whiten(self, signals: FloatArray) -> FloatArray:
-        """Innovations in units of their own scatter, shape (…, c, n) to (…, c, n − p).
+        """Whiten signals: innovations in units of their scatter, shape (…, c, n) to (…, c, n − p).
 
-        Noise becomes independent standard normal. The first p samples only condition the rest.
+        Noise becomes independent standard normal. The first p samples only condition the others.
         """
         p, n = self.order, signals.shape[-1]
         innovations = signals[..., p:].copy()
@@ -68,17 +68,17 @@ class ChannelNoise:
         return np.asarray(np.einsum("ab,...bn->...an", inverse, innovations))
 
     def draw(self, samples: int, count: int, generator: np.random.Generator) -> FloatArray:
-        """Noise of recordings of their own, shape (count, c, n), in the channels' units.
+        """Draw noise for ``count`` recordings, shape (count, c, n), in the channels' units.
 
-        As a circular process, longer than asked for, so that its ends are independent.
+        Drawn as a circular process that is longer than needed, so that its ends are independent.
         """
         size = samples + CIRCLE
         white = generator.standard_normal((count, len(self.root), size))
-        turn = np.exp(-2j * np.pi * np.fft.rfftfreq(size))[:, None, None]
-        passed = np.eye(len(self.root)) - sum(
-            (phi * turn**k for k, phi in enumerate(self.coefficients, start=1)), 0.0 * turn
+        delay = np.exp(-2j * np.pi * np.fft.rfftfreq(size))[:, None, None]
+        polynomial = np.eye(len(self.root)) - sum(
+            (phi * delay**k for k, phi in enumerate(self.coefficients, start=1)), 0.0 * delay
         )
-        response = np.linalg.solve(passed, np.broadcast_to(self.root, passed.shape))
+        response = np.linalg.solve(polynomial, np.broadcast_to(self.root, polynomial.shape))
         spectrum = np.einsum("fab,rbf->raf", response, np.fft.rfft(white))
         return np.asarray(np.fft.irfft(spectrum, size)[..., :samples])
 
@@ -89,10 +89,10 @@ def estimate_channel_noise(
     kept: BoolArray | None = None,
     rounding: FloatArray | None = None,
 ) -> ChannelNoise:
-    """Noise of all channels from differences at one load rotation, its order chosen by BIC.
+    """Noise of all channels from differences over one load rotation; the order is chosen by BIC.
 
-    What of the rounding is not seen in them repeats: all rotations together tell no more than one,
-    and it counts as that many times its variance.
+    Rounding that the differences do not show repeats every rotation. All rotations together then
+    tell no more than one, so its variance is multiplied by their number.
 
     Parameters
     ----------
@@ -101,9 +101,9 @@ def estimate_channel_noise(
     lag
         Samples in a rotation.
     kept
-        Shape (n,): samples to go by; all if ``None``.
+        Shape (n,): samples to use; all if ``None``.
     rounding
-        Shape (c, HIGHEST_ORDER + 1): autocovariance of what the channels are rounded by, at least.
+        Shape (c, HIGHEST_ORDER + 1): least autocovariance of the channels' rounding.
 
     Raises
     ------
@@ -117,9 +117,9 @@ def estimate_channel_noise(
             found=f"{max(count, 0)} samples with a counterpart one rotation later",
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
-    both = None if kept is None else kept[lag:] & kept[:-lag]
-    later = residual[:, lag:] - residual[:, :-lag]
-    return _noise_of(later, 0.5, both, rounding, residual.shape[1] / lag)
+    both_kept = None if kept is None else kept[lag:] & kept[:-lag]
+    differences = residual[:, lag:] - residual[:, :-lag]
+    return _noise_of(differences, 0.5, both_kept, rounding, residual.shape[1] / lag)
 
 
 def estimate_fast_noise(
@@ -128,10 +128,10 @@ def estimate_fast_noise(
     kept: BoolArray | None = None,
     rounding: FloatArray | None = None,
 ) -> ChannelNoise:
-    """Noise of all channels where nothing repeats: from what is faster than a running mean.
+    """Noise of all channels of a recording without repetition: the part faster than a running mean.
 
-    What a mean over w samples takes of white noise, 1/w of its power, is given back; of noise that
-    lasts longer than that this sees too little.
+    A mean over w samples takes 1/w of the power of white noise, for which the result is corrected.
+    Noise that is correlated over more than w samples is underestimated.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def estimate_fast_noise(
     samples
         w, at most a third of n.
     kept
-        Shape (n,): samples to go by; all if ``None``.
+        Shape (n,): samples to use; all if ``None``.
     rounding
         As :func:`estimate_channel_noise` takes it.
 
@@ -159,8 +159,8 @@ def estimate_fast_noise(
     sums = np.cumsum(np.pad(residual, ((0, 0), (1, 0))), axis=1)
     mean = (sums[:, samples:] - sums[:, :-samples]) / samples
     middle = residual[:, samples // 2 : samples // 2 + count]
-    own = None if kept is None else kept[samples // 2 : samples // 2 + count]
-    return _noise_of(middle - mean, 1.0 / (1.0 - 1.0 / samples), own, rounding)
+    kept_middle = None if kept is None else kept[samples // 2 : samples // 2 + count]
+    return _noise_of(middle - mean, 1.0 / (1.0 - 1.0 / samples), kept_middle, rounding)
 
 
 def _noise_of(
@@ -170,12 +170,12 @@ def _noise_of(
     rounding: FloatArray | None,
     rotations: float = 1.0,
 ) -> ChannelNoise:
-    """The process with this share of the power of a stretch, shape (c, n), by the samples kept."""
+    """The process that has this share of the power of a stretch, (c, n), at the kept samples."""
     channels, count = noise.shape
-    whole: BoolArray | None = None
+    complete_past: BoolArray | None = None
     if kept is not None:
-        whole = np.asarray(sliding_window_view(kept, HIGHEST_ORDER + 1).all(axis=1))
-        count = int(whole.sum())
+        complete_past = np.asarray(sliding_window_view(kept, HIGHEST_ORDER + 1).all(axis=1))
+        count = int(complete_past.sum())
         if count < FEWEST_DIFFERENCES:
             raise RecordingError(
                 "Too little of the recording is compared to estimate its noise.",
@@ -194,7 +194,7 @@ def _noise_of(
         total = np.sqrt(variance + unseen[:, 0])
         root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         return ChannelNoise(coefficients, root, total, count, repeats=True)
-    fits = [_autoregression(noise, order, whole) for order in range(HIGHEST_ORDER + 1)]
+    fits = [_autoregression(noise, order, complete_past) for order in range(HIGHEST_ORDER + 1)]
     determinants = np.array([np.linalg.slogdet(covariance)[1] for _, covariance in fits])
     best = int(np.argmin(bic(determinants, count, channels**2)))
     coefficients, covariance = fits[best]
@@ -207,60 +207,54 @@ def _noise_of(
 
 
 def _unseen(variance: FloatArray, rounding: FloatArray) -> FloatArray | None:
-    """Part of the rounding's autocovariance (c, lags) that a channel's variance (c,) lacks."""
-    lacks = np.clip(rounding[:, 0] - variance, 0.0, None)
-    if np.all(lacks <= NEGLIGIBLE * variance):
+    """Part of the rounding's autocovariance (c, lags) missing from a channel's variance (c,)."""
+    missing = np.clip(rounding[:, 0] - variance, 0.0, None)
+    if np.all(missing <= NEGLIGIBLE * variance):
         return None
-    return np.asarray(rounding * (lacks / np.maximum(rounding[:, 0], 1e-300))[:, None])
+    return np.asarray(rounding * (missing / np.maximum(rounding[:, 0], 1e-300))[:, None])
 
 
 def _passed_on(noise: FloatArray, unseen: FloatArray) -> FloatArray:
-    """What the controller makes of the first channel's unseen rounding in the others.
-
-    As it does of that channel's noise (c, n), by regression. That the two go together is not
-    counted on: where the recorder rounds and not the encoder, they do not.
-    """
+    """Unseen rounding of the first channel as the controller passes it to the others. The gains are
+    those of that channel's noise (c, n), by regression. A correlation between the channels is not
+    assumed: if the recorder rounds, not the encoder, there is none."""
     power = float(noise[0] @ noise[0])
     if power == 0.0:
         return np.zeros_like(unseen)
     gain_square = (noise @ noise[0] / power) ** 2
-    # By chance channels that have nothing to do with each other have a gain too.
+    # Even unrelated channels have a gain by chance.
     gain_square -= np.mean(noise**2, axis=1) / power
     gain_square[0] = 0.0
     return np.asarray(np.clip(gain_square, 0.0, None)[:, None] * unseen[0])
 
 
-def _yule_walker(d: FloatArray, more: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Φ of the highest order, shape (p, c, c), and the innovations' covariance (c, c).
-
-    From the autocovariance of d, shape (c, n), and more of each channel alone, (c, p + 1).
-    """
+def _yule_walker(d: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Φ of the highest order, shape (p, c, c), and the innovations' covariance (c, c). From the
+    autocovariance of d, shape (c, n), plus ``extra`` of each channel alone, (c, p + 1)."""
     channels, n = d.shape
-    lags = [d[:, k:] @ d[:, : n - k].T / n + np.diag(own) for k, own in enumerate(more.T)]
-    reach = range(HIGHEST_ORDER)
-    past = np.block([[lags[k - j] if k >= j else lags[j - k].T for k in reach] for j in reach])
-    now = np.concatenate(lags[1:], axis=1)
-    stacked = np.linalg.solve(past.T, now.T).T
+    lags = [d[:, k:] @ d[:, : n - k].T / n + np.diag(row) for k, row in enumerate(extra.T)]
+    orders = range(HIGHEST_ORDER)
+    past = np.block([[lags[k - j] if k >= j else lags[j - k].T for k in orders] for j in orders])
+    present = np.concatenate(lags[1:], axis=1)
+    stacked = np.linalg.solve(past.T, present.T).T
     coefficients = stacked.reshape(channels, HIGHEST_ORDER, channels).swapaxes(0, 1)
-    return coefficients, lags[0] - stacked @ now.T
+    return coefficients, lags[0] - stacked @ present.T
 
 
 def _autoregression(
-    d: FloatArray, order: int, whole: BoolArray | None
+    d: FloatArray, order: int, complete_past: BoolArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c).
-
-    All orders use the same samples, so that their likelihoods can be compared: those with a whole
-    past, shape (n − HIGHEST_ORDER,).
-    """
+    """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c). All
+    orders use the same samples, so that their likelihoods can be compared: those with a complete
+    past, shape (n − HIGHEST_ORDER,)."""
     channels, n = d.shape
-    chosen = slice(None) if whole is None else whole
-    now = d[:, HIGHEST_ORDER:][:, chosen]
+    chosen = slice(None) if complete_past is None else complete_past
+    present = d[:, HIGHEST_ORDER:][:, chosen]
     tiny = 1e-24 * np.diag(np.maximum(np.mean(d**2, axis=1), 1e-300))
     if order == 0:
-        return np.zeros((0, channels, channels)), now @ now.T / now.shape[1] + tiny
+        return np.zeros((0, channels, channels)), present @ present.T / present.shape[1] + tiny
     past = np.concatenate([d[:, HIGHEST_ORDER - k : n - k][:, chosen] for k in range(1, order + 1)])
-    stacked = np.linalg.lstsq(past.T, now.T, rcond=None)[0].T
-    innovations = now - stacked @ past
+    stacked = np.linalg.lstsq(past.T, present.T, rcond=None)[0].T
+    innovations = present - stacked @ past
     coefficients = stacked.reshape(channels, order, channels).swapaxes(0, 1)
-    return coefficients, innovations @ innovations.T / now.shape[1] + tiny
+    return coefficients, innovations @ innovations.T / present.shape[1] + tiny

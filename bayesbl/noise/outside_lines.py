@@ -1,10 +1,10 @@
-"""What shakes a joint from outside: lines in time, locked to no angle, near the ringing.
+"""Lines of outside vibration near the ringing: fixed in frequency, locked to no angle.
 
-Another machine that shakes the base or the load makes a wave that goes on all the time, while the
-ringing is there for a short time behind each impact. So the median over short stretches of the
-speed, turned back by the wave, is the line alone. It adds to the ringing, and it makes the load
-meet each flank sooner or later, harder or less hard: by about as much as it moves the speed, and
-that does not average out as noise does.
+Another machine that shakes the base or the load causes a sustained wave, while the ringing lasts
+only a short time after each impact. The median over short stretches of the demodulated speed is
+therefore the line alone. The line adds to the ringing. It also makes the load meet each flank
+earlier or later, and harder or softer, by about as much as it moves the speed. That does not
+average out like noise.
 """
 
 from __future__ import annotations
@@ -19,32 +19,34 @@ from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_SPEED, ComplexArray, FloatArray
 
 BAND_HZ = (6.0, 40.0)
-"""Where joints ring; slower waves are the load's own, faster ones do not beat with the ringing."""
+"""Where joints ring; slower waves are the load's own, faster ones do not beat with ringing."""
 
 STRETCH_S = 0.25
-"""One and a half periods of the slowest; the ringing fills few such stretches."""
+"""One and a half periods of the slowest line; the ringing fills few such stretches."""
 
 SOUGHT_S = 120.0
-"""In which a line is sought: one that goes on all the time is in any part, and the work grows with
-the square of its length. A longer recording then sharpens its frequency."""
+"""Length in which a line is sought: a sustained line is in any part, and the work grows with the
+square of the length. A longer recording then refines the frequency."""
 
 FEWEST_STRETCHES = 20
 FALSE_ALARM = 1e-5
-"""Of a recording, over all frequencies."""
+"""Probability of a false alarm per recording, over all frequencies."""
 
 UNSTEADY_SHARE = 0.75
-"""Of a line's size, by which the quartiles over the stretches may be off it along its phase. Of
-ringing that filled the motor's turns, 37 cases at gear ratios 6 to 10, the lower one was off by
-0.97 or more; of lines of 1 rpm in noise of 1.5 rpm at 1 kHz by 0.58 at most."""
+"""Largest departure of the quartiles over stretches from a line, along its phase, as a share of
+its amplitude. For ringing that filled the motor's turns, 37 cases at gear ratios 6 to 10, the
+lower quartile departed by 0.97 or more; for lines of 1 rpm in noise of 1.5 rpm at 1 kHz by at
+most 0.58."""
 
 SMALLEST_SHARE = 0.01
-"""Of half the range of the speed, about the ringing's amplitude: less moves it by no more."""
+"""Smallest line, as a share of half the range of the speed (about the ringing amplitude, which a
+smaller line moves by less)."""
 
 MOST_LINES = 3
-"""More are a comb: ringing that has not ended when the next impact comes repeats with the load."""
+"""More lines are a comb: ringing that lasts until the next impact repeats with the load."""
 
 FEWEST_IN_ROTATION = 3
-"""Stretches in a load rotation, so that some have no ringing."""
+"""Fewest stretches in a load rotation, so that some have no ringing."""
 
 ROUNDS = 3
 FINER = 8
@@ -52,7 +54,7 @@ FINER = 8
 
 @dataclass(frozen=True, slots=True)
 class OutsideLine:
-    """A line in the speed at a frequency in time, and its amplitude."""
+    """A line in the speed at a fixed frequency, and its amplitude."""
 
     frequency_hz: float
     size_rpm: float
@@ -61,16 +63,16 @@ class OutsideLine:
 def without_outside_lines(
     channels: dict[str, FloatArray], period_s: float, rotation_s: float = math.inf
 ) -> tuple[dict[str, FloatArray], tuple[OutsideLine, ...]]:
-    """Channels (n,) by name without the lines that stand out of the speed, and these lines.
+    """Remove the significant lines from channels (n,) by name; return channels and lines.
 
-    ``rotation_s``: of the load, where it is known.
+    ``rotation_s``: rotation period of the load, if known.
     """
     if rotation_s < FEWEST_IN_ROTATION * STRETCH_S:
         return channels, ()
     cleaned = dict(channels)
     lines: list[OutsideLine] = []
-    least = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[MOTOR_SPEED]))
-    while (line := clearest_line(cleaned[MOTOR_SPEED], period_s, least)) is not None:
+    smallest = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[MOTOR_SPEED]))
+    while (line := clearest_line(cleaned[MOTOR_SPEED], period_s, smallest)) is not None:
         if len(lines) == MOST_LINES:
             return channels, ()
         lines.append(line)
@@ -80,10 +82,12 @@ def without_outside_lines(
 
 
 def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> OutsideLine | None:
-    """The largest line of at least this amplitude that goes on all the time, if there is one."""
-    many = max(1, math.floor(1.0 / (4.0 * BAND_HZ[1] * period_s)))
-    rows = speed_rpm[: speed_rpm.size // many * many].reshape(-1, many).mean(axis=1)
-    step = many * period_s
+    """The largest sustained line of at least this amplitude, if there is one."""
+    decimation = max(1, math.floor(1.0 / (4.0 * BAND_HZ[1] * period_s)))
+    rows = (
+        speed_rpm[: speed_rpm.size // decimation * decimation].reshape(-1, decimation).mean(axis=1)
+    )
+    step = decimation * period_s
     part = rows[: round(SOUGHT_S / step)]
     duration = part.size * step
     if duration < FEWEST_STRETCHES * STRETCH_S:
@@ -91,22 +95,22 @@ def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> O
     highest = min(BAND_HZ[1], 0.4 / step)
     spacing = 0.25 / duration
     grid = np.arange(BAND_HZ[0], highest, spacing)
-    each = _by_stretch(part, step, grid)
-    line, error, unsteady = medians(each)
+    by_stretch = _by_stretch(part, step, grid)
+    line, error, unsteady = medians(by_stretch)
     bound = normal_isf(0.5 * FALSE_ALARM / (duration * highest))
     size = np.abs(line)
     size[(size < np.maximum(least_rpm, bound * error)) | (unsteady > UNSTEADY_SHARE)] = 0.0
     if not size.any():
         return None
     frequency = float(grid[np.argmax(size)])
-    # The stretches without ringing, all together, tell the frequency: of twice as many each time.
+    # The stretches without ringing together give the frequency; double their number each time.
     while True:
-        at = _by_stretch(part, step, np.array([frequency]))
-        off = np.abs(at - medians(at)[0])[:, 0]
-        quiet = off < 2.0 * np.median(off)
+        amplitudes = _by_stretch(part, step, np.array([frequency]))
+        departure = np.abs(amplitudes - medians(amplitudes)[0])[:, 0]
+        quiet = departure < 2.0 * np.median(departure)
         fine = frequency + spacing * np.linspace(-2.0, 2.0, 4 * FINER + 1)
-        together = np.abs(_by_stretch(part, step, fine)[quiet].sum(axis=0))
-        frequency = float(fine[np.argmax(together)])
+        coherent_sum = np.abs(_by_stretch(part, step, fine)[quiet].sum(axis=0))
+        frequency = float(fine[np.argmax(coherent_sum)])
         if part.size == rows.size:
             break
         part, spacing = rows[: 2 * part.size], 0.5 * spacing
@@ -115,7 +119,7 @@ def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> O
 
 
 def in_words(lines: Iterable[OutsideLine]) -> str:
-    """What was taken out, as a note."""
+    """A note on the removed lines."""
     listed = " and ".join(
         f"{line.size_rpm:.2g} rpm at {line.frequency_hz:.4g} Hz" for line in lines
     )
@@ -127,7 +131,7 @@ def in_words(lines: Iterable[OutsideLine]) -> str:
 
 
 def _wave(speed_rpm: FloatArray, period_s: float, frequency_hz: float) -> FloatArray:
-    """The line at a frequency, (n,): what rounds of medians leave nothing of."""
+    """The line at a frequency, (n,), from repeated medians until nothing is left of it."""
     turning = np.exp(2.0j * np.pi * frequency_hz * period_s * np.arange(speed_rpm.size))
     remainder = speed_rpm.copy()
     for _ in range(ROUNDS):
@@ -137,27 +141,27 @@ def _wave(speed_rpm: FloatArray, period_s: float, frequency_hz: float) -> FloatA
 
 
 def _by_stretch(rows: FloatArray, step_s: float, frequency_hz: FloatArray) -> ComplexArray:
-    """Complex amplitude of each line in each stretch, (stretches, f), straight lines left out."""
+    """Complex amplitude of each line in each stretch without its trend, (stretches, f)."""
     length = max(4, round(STRETCH_S / step_s))
     stretches = rows[: rows.size // length * length].reshape(-1, length)
-    at = np.arange(length) - 0.5 * (length - 1)
-    straight = np.stack([np.ones(length), at / np.linalg.norm(at) * math.sqrt(length)])
+    centred = np.arange(length) - 0.5 * (length - 1)
+    trend = np.stack([np.ones(length), centred / np.linalg.norm(centred) * math.sqrt(length)])
     omega = 2.0 * np.pi * frequency_hz * step_s
-    waves = np.exp(1j * np.outer(at, omega))
-    own = waves - straight.T @ (straight @ waves) / length
-    each = stretches @ own.conj() * (2.0 / np.sum(np.abs(own) ** 2, axis=0))
+    waves = np.exp(1j * np.outer(centred, omega))
+    detrended = waves - trend.T @ (trend @ waves) / length
+    amplitudes = stretches @ detrended.conj() * (2.0 / np.sum(np.abs(detrended) ** 2, axis=0))
     middle = 0.5 * (length - 1) + length * np.arange(len(stretches))
-    return np.asarray(each * np.exp(-1j * np.outer(middle, omega)))
+    return np.asarray(amplitudes * np.exp(-1j * np.outer(middle, omega)))
 
 
-def medians(each: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Of lines in stretches, (stretches, f): size and phase, standard error, unsteadiness, (f,)."""
-    parts = np.stack([each.real, each.imag])
+def medians(by_stretch: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Amplitude, standard error, unsteadiness of lines, (f,), from stretches, (stretches, f)."""
+    parts = np.stack([by_stretch.real, by_stretch.imag])
     centre = np.median(parts, axis=1)
-    spread = 1.4826 * np.median(np.abs(parts - centre[:, None]), axis=1)
-    # A median is less sharp than a mean by the square root of π/2.
-    error = math.sqrt(0.5 * math.pi / len(each)) * np.linalg.norm(spread, axis=0)
+    sd = 1.4826 * np.median(np.abs(parts - centre[:, None]), axis=1)
+    # The standard error of a median is √(π/2) times that of a mean.
+    error = math.sqrt(0.5 * math.pi / len(by_stretch)) * np.linalg.norm(sd, axis=0)
     line = centre[0] + 1j * centre[1]
-    along = np.real(each * line.conj()) / np.maximum(np.abs(line) ** 2, 1e-300)
-    low, high = np.quantile(along, [0.25, 0.75], axis=0)
+    projection = np.real(by_stretch * line.conj()) / np.maximum(np.abs(line) ** 2, 1e-300)
+    low, high = np.quantile(projection, [0.25, 0.75], axis=0)
     return line, np.asarray(error), np.maximum(1.0 - low, high - 1.0)

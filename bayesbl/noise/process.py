@@ -1,4 +1,4 @@
-"""Measurement: coloured noise, encoder counts."""
+"""Simulated measurement: coloured noise and encoder counts."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class NoiseModel:
     Attributes
     ----------
     standard_deviation
-        Of the noise itself (not of ε), in its channel's unit.
+        Standard deviation of the noise n (not of ε), in its channel's unit.
     coefficients
         φ_1 … φ_p; empty for white noise. They hold for one sampling rate only.
     degrees_of_freedom
-        Of Student-t ε_t, above 2, scaled to the same variance: outliers. ``None`` for Gaussian
-        ε_t.
+        Degrees of freedom of Student-t ε_t (outliers), above 2, scaled to the same variance.
+        ``None`` for Gaussian ε_t.
 
     Raises
     ------
@@ -61,12 +61,12 @@ class NoiseModel:
             )
 
     def draw(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Stationary from the first sample on, shape (size,), the channel's unit."""
+        """Draw noise that is stationary from the first sample, shape (size,), channel's unit."""
         coefficients = np.asarray(self.coefficients, dtype=np.float64)
         order, freedom = coefficients.size, self.degrees_of_freedom
         innovation = math.sqrt(innovation_share(coefficients))
         if freedom is not None:
-            # Run in from zero: the stationary law has no closed form.
+            # Discard a run-in from zero: the stationary distribution has no closed form.
             slowest = float(np.max(np.abs(self._roots), initial=0.0))
             run_in = math.ceil(math.log(1e-6) / math.log(slowest)) if slowest > 0.0 else 0
             white = rng.standard_t(freedom, run_in + size) * math.sqrt((freedom - 2.0) / freedom)
@@ -83,7 +83,7 @@ class NoiseModel:
 
     @property
     def _roots(self) -> NDArray[np.complex128]:
-        """Of z^p − φ_1 z^(p−1) − …, shape (p,)."""
+        """Roots of z^p − φ_1 z^(p−1) − …, shape (p,)."""
         return np.asarray(np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients)))))
 
 
@@ -91,7 +91,7 @@ NO_NOISE = NoiseModel(0.0)
 
 
 def quantised(angle_rad: FloatArray, counts: int) -> FloatArray:
-    """Angle as an encoder of ``counts`` per turn shows it, nearest count, rad."""
+    """Angle as shown by an encoder of ``counts`` per turn, rounded to the nearest count, rad."""
     count = 2.0 * math.pi / counts
-    shown: FloatArray = np.rint(angle_rad / count) * count
-    return shown
+    rounded: FloatArray = np.rint(angle_rad / count) * count
+    return rounded

@@ -1,7 +1,7 @@
-"""A speed that comes in steps: rounded, or differentiated from an encoder's counts.
+"""A speed in steps: rounded, or differentiated from an encoder's counts.
 
 If the other noise is well below a step, the rounding is the same in every rotation that starts at
-the same count. Like the misfit it then cancels between rotations, so what does not repeat does not
+the same count. It then cancels between rotations like the misfit, so rotation differences do not
 show it. Its size is known from the step.
 """
 
@@ -15,22 +15,22 @@ import numpy as np
 from bayesbl.recording.types import FloatArray
 
 ON_STEPS = 0.9
-"""Share of the samples that must lie on the steps; bridged ones lie between."""
+"""Share of the samples that must lie on the steps; bridged samples lie between."""
 
 MOVES = 0.5
-"""Share of the rounding's variance from which on a signal moves through its steps."""
+"""Share of the rounding's variance above which a signal is taken to move through its steps."""
 
 BEYOND_ONE_ROUNDING = 1.5
-"""Variance of one rounding, times this: half-way to that of the difference of two."""
+"""Factor on the variance of one rounding: half-way to that of the difference of two."""
 
 COARSEST_PRINT = 0.1
-"""Of a step: of digits coarser than that any speed would seem to be on steps."""
+"""Coarsest printed digits, in steps: with coarser ones any speed would seem to be on steps."""
 
 SHARED_COUNT = -0.25
 """Correlation of neighbouring samples: half-way to that of differences that share a count."""
 
 _WHOLE = 0.01
-"""Largest distance from a whole number of steps."""
+"""Largest distance from a whole number of steps, in steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,9 @@ class SpeedSteps:
     Attributes
     ----------
     size_rpm
-        One step.
+        Size of one step.
     differentiated
-        The speed is the difference of counted positions, one count a step.
+        Whether the speed is the difference of counted positions, one count a step.
     level_rpm
         One of the levels.
     """
@@ -53,28 +53,28 @@ class SpeedSteps:
 
     @property
     def sd_rpm(self) -> float:
-        """Standard deviation of the rounding, uniform within a step: of one, or of two together."""
+        """Standard deviation of rounding: uniform in a step, or the difference of two such."""
         return self.size_rpm / math.sqrt(6.0 if self.differentiated else 12.0)
 
     def drawn(self, exact_rpm: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """What may be rounded away of an exact speed, rpm; where its steps lie is by chance."""
-        place = exact_rpm / self.size_rpm
+        """Draw the rounding error of an exact speed, rpm, with random position of the steps."""
+        position = exact_rpm / self.size_rpm
         if not self.differentiated:
-            place = place + rng.uniform()
-            return np.asarray(self.size_rpm * (place - np.round(place)))
-        place = np.cumsum(place) + rng.uniform()
-        away = place - np.round(place)
-        return np.asarray(self.size_rpm * np.diff(away, prepend=rng.uniform(-0.5, 0.5)))
+            position = position + rng.uniform()
+            return np.asarray(self.size_rpm * (position - np.round(position)))
+        position = np.cumsum(position) + rng.uniform()
+        error = position - np.round(position)
+        return np.asarray(self.size_rpm * np.diff(error, prepend=rng.uniform(-0.5, 0.5)))
 
     def rounded_away(self, exact_rpm: FloatArray) -> FloatArray:
-        """What an exact speed has more than the rounded one, about its mean, rpm."""
-        place = (exact_rpm - self.level_rpm) / self.size_rpm
+        """Exact minus rounded speed, about its mean, rpm."""
+        position = (exact_rpm - self.level_rpm) / self.size_rpm
         if self.differentiated:
-            place = np.cumsum(exact_rpm / self.size_rpm)
-        away = place - np.round(place)
+            position = np.cumsum(exact_rpm / self.size_rpm)
+        error = position - np.round(position)
         if self.differentiated:
-            away = np.diff(away)
-        return np.asarray(self.size_rpm * (away - away.mean()))
+            error = np.diff(error)
+        return np.asarray(self.size_rpm * (error - error.mean()))
 
 
 def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
@@ -88,16 +88,16 @@ def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
     gaps = gaps[gaps > 1e-9 * np.abs(levels).max()]
     if not gaps.size:
         return None
-    # Printed digits may make neighbouring steps differ in size; over all of them that cancels.
+    # Printed digits may make neighbouring steps differ in size; over all steps that cancels.
     single = float(gaps[gaps < 1.5 * gaps.min()].mean())
     size = float(gaps.sum()) / float(np.round(gaps / single).sum())
     printed = _printed_resolution(speed_rpm)
-    away = np.abs(speed_rpm - levels[0] - size * np.round((speed_rpm - levels[0]) / size))
-    off_by = _WHOLE * size + (printed if printed < COARSEST_PRINT * size else 0.0)
-    if np.mean(away < off_by) < ON_STEPS:
+    distance = np.abs(speed_rpm - levels[0] - size * np.round((speed_rpm - levels[0]) / size))
+    tolerance = _WHOLE * size + (printed if printed < COARSEST_PRINT * size else 0.0)
+    if np.mean(distance < tolerance) < ON_STEPS:
         return None
-    # Lag-1 autocorrelation of the change from sample to sample: −1/2 of a white rounding,
-    # −2/3 of the difference of one.
+    # Lag-1 autocorrelation of the change from sample to sample: −1/2 for white rounding,
+    # −2/3 for the difference of it.
     change = np.diff(speed_rpm)
     change = change - change.mean()
     correlation = float(change[1:] @ change[:-1] / (change @ change))
@@ -105,7 +105,7 @@ def speed_steps(speed_rpm: FloatArray) -> SpeedSteps | None:
 
 
 def _printed_resolution(values: FloatArray) -> float:
-    """The decimal that all values are whole numbers of: 0.01 of 1495.06; 0 where there is none."""
+    """Decimal resolution of all values (0.01 for 1495.06); 0 if there is none."""
     for digits in range(7):
         if np.all(np.abs(values - np.round(values, digits)) < 1e-9 * np.maximum(1.0, abs(values))):
             return float(10.0**-digits)
@@ -114,14 +114,15 @@ def _printed_resolution(values: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
-    """By how much a recorded channel differs from what it is compared with, however still it is.
+    """Least difference between a recorded channel and its simulation: rounding and simulation
+    error.
 
     Attributes
     ----------
     steps
-        Of the channel; ``None`` if it is not quantised.
+        Steps of the channel; ``None`` if it is not quantised.
     least_sd
-        Standard deviation of what the simulation is not exact by.
+        Standard deviation of the error of the simulation.
     """
 
     steps: SpeedSteps | None
@@ -133,15 +134,15 @@ class Rounding:
         return math.hypot(self.least_sd, 0.0 if self.steps is None else self.steps.sd_rpm)
 
     def autocovariance(self, exact: FloatArray, residual: FloatArray, lags: int) -> FloatArray:
-        """γ(0) … γ(lags − 1) of what is rounded away of an exact signal, shape (lags,).
+        """γ(0) … γ(lags − 1) of the rounding of an exact signal, shape (lags,).
 
-        A signal that hardly moves in a step is taken for one that moves: white rounding, of the
-        position behind a difference.
+        A signal that hardly moves within a step is treated as one that moves: its rounding is
+        white, or for a differentiated signal that of the position is.
 
         Parameters
         ----------
-        exact, left
-            Shape (n,): the signal, and what the recording has beyond it.
+        exact, residual
+            Shape (n,): the signal, and recording minus signal.
         """
         autocovariance = np.zeros(lags)
         autocovariance[0] = self.least_sd**2
@@ -153,11 +154,11 @@ class Rounding:
             return autocovariance
         variance = steps.sd_rpm**2
         autocovariance[0] += variance
-        away = steps.rounded_away(exact)
-        power = float(away @ away)
-        if power > MOVES * away.size * variance:
+        error = steps.rounded_away(exact)
+        power = float(error @ error)
+        if power > MOVES * error.size * variance:
             autocovariance[1:] += variance * np.array(
-                [away[k:] @ away[: away.size - k] / power for k in range(1, lags)]
+                [error[k:] @ error[: error.size - k] / power for k in range(1, lags)]
             )
         elif steps.differentiated:
             autocovariance[1] -= 0.5 * variance
@@ -166,10 +167,7 @@ class Rounding:
     def drawn(
         self, exact: FloatArray, residual: FloatArray, rng: np.random.Generator
     ) -> FloatArray:
-        """What a recording may have less than an exact signal, as :meth:`autocovariance` takes it.
-
-        Shape (n,).
-        """
+        """Draw signal minus recording, (n,); arguments as for :meth:`autocovariance`."""
         rounding = self.least_sd * rng.standard_normal(exact.size)
         if self.steps is None:
             return rounding
@@ -180,10 +178,8 @@ class Rounding:
         return rounding + steps.drawn(exact, rng)
 
     def _steps_behind(self, residual: FloatArray) -> SpeedSteps | None:
-        """As what a recording has beyond the exact signal shows them, (n,).
-
-        ``None``: differences over less than a sample, no two of which share a count.
-        """
+        """The steps that are consistent with the residual, (n,). ``None`` for differences over less
+        than a sample, no two of which share a count."""
         steps = self.steps
         if steps is None or (
             float(np.mean(residual**2)) <= BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0

@@ -1,17 +1,17 @@
-"""The noise of a recording, from what does not repeat from one load rotation to the next.
+"""The noise of a recording, from differences between load rotations.
 
 The disturbance model leaves a misfit that repeats every rotation and is almost perfectly
-autocorrelated. A noise model learned from the residuals themselves takes that misfit for noise.
-In the difference between the residual and the residual one rotation later the misfit cancels; the
-rest has the noise's autocorrelation and twice its variance.
+autocorrelated. A noise model learned from the residuals themselves would take that misfit for
+noise. In the difference between the residual and the residual one rotation later, the misfit
+cancels. The difference has the noise's autocorrelation and twice its variance.
 
-The scale is the root mean square whatever the tails of the noise: with outliers, too, the realised
-variance decides how far a least-squares optimum was moved.
+The scale is the root mean square for any tails of the noise: with outliers, too, the realised
+variance determines how far a least-squares optimum was moved.
 
-It is an autoregressive process x_t = Σ φ_k x_{t−k} + ε_t whose order is chosen. Its innovations are
-normal, or Student-t where there are outliers. Only differences of two innovations, one rotation
-apart, are seen. The difference of two Student-t variables is not Student-t itself, so its density
-is integrated.
+The noise is an autoregressive process x_t = Σ φ_k x_{t−k} + ε_t of chosen order. Its innovations
+are normal, or Student-t if there are outliers. Only differences of two innovations, one rotation
+apart, are observed. The difference of two Student-t variables is not Student-t, so its density is
+computed by integration.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from bayesbl.noise.quantisation import SpeedSteps
 from bayesbl.recording.types import FloatArray
 
 FEWEST_DIFFERENCES = 200
-"""Samples from which noise is estimated."""
+"""Fewest samples from which noise is estimated."""
 
 Fits = list[tuple[float, FloatArray]]
 """For the orders 0, 1, 2 …: variance of the innovations ε, and φ_1 … φ_p of shape (p,)."""
 
 
 def burg(x: FloatArray, highest: int) -> Fits:
-    """Fits of every order up to ``highest`` to a series of shape (n,) (Burg 1975).
+    """Fit every order up to ``highest`` to a series of shape (n,) (Burg 1975).
 
-    NaN in ``x`` spreads to the predictions that would need it, and those are left out.
+    NaN in ``x`` spreads to the predictions that need it, and these are left out.
     """
     forward, backward = x[1:], x[:-1]
     variance = float(np.nanmean(x**2))
@@ -48,9 +48,9 @@ def burg(x: FloatArray, highest: int) -> Fits:
     fits = [(variance, coefficients)]
     for _ in range(highest):
         product = forward * backward
-        both = np.isfinite(product)
-        power = float(np.sum(forward[both] ** 2 + backward[both] ** 2))
-        reflection = 2.0 * float(product[both].sum()) / power if power > 0.0 else 0.0
+        known = np.isfinite(product)
+        power = float(np.sum(forward[known] ** 2 + backward[known] ** 2))
+        reflection = 2.0 * float(product[known].sum()) / power if power > 0.0 else 0.0
         coefficients = np.r_[coefficients - reflection * coefficients[::-1], reflection]
         variance *= 1.0 - reflection**2
         fits.append((variance, coefficients))
@@ -62,9 +62,9 @@ def burg(x: FloatArray, highest: int) -> Fits:
 
 
 def levinson(autocovariance: FloatArray, highest: int) -> Fits:
-    """Fits of every order up to ``highest`` to γ(0), γ(1) … (Levinson and Durbin's recursion).
+    """Fit every order up to ``highest`` to γ(0), γ(1) … (Levinson and Durbin's recursion).
 
-    They end before the order at which nothing is left to explain.
+    The fits end before the order at which no variance is left.
     """
     variance = max(float(autocovariance[0]), 1e-300)
     phi = np.zeros(0)
@@ -91,11 +91,11 @@ def bic(log_variance: FloatArray, count: int, parameters: int = 1) -> FloatArray
     Parameters
     ----------
     log_variance
-        Of the innovations; of several channels the logarithm of their covariance's determinant.
+        ln variance of the innovations; for several channels ln determinant of their covariance.
     count
         Samples behind the fits.
     parameters
-        That one order more has: the square of the number of channels.
+        Additional parameters per order: the square of the number of channels.
     """
     orders = np.arange(log_variance.size)
     return np.asarray(count * log_variance + orders * parameters * math.log(count))
@@ -126,15 +126,15 @@ def autocorrelation(
 def correlated(
     coefficients: FloatArray, columns: FloatArray, differentiated: bool = False
 ) -> FloatArray:
-    """R X for X of shape (n, p) or (n,), R the Toeplitz matrix of :func:`autocorrelation`.
+    """R X for X of shape (n, p) or (n,), with R the Toeplitz matrix of :func:`autocorrelation`.
 
-    As part of a circulant matrix of a size whose Fourier transform is fast.
+    R is embedded in a circulant matrix whose size suits the fast Fourier transform.
     """
     n = len(columns)
     rho = autocorrelation(coefficients, n, differentiated)
     size = fft.next_fast_len(2 * n - 1, real=True)
-    around = np.concatenate((rho, np.zeros(size - 2 * n + 1), rho[:0:-1]))
-    spectrum = fft.rfft(around).reshape(-1, *(1,) * (columns.ndim - 1))
+    circulant = np.concatenate((rho, np.zeros(size - 2 * n + 1), rho[:0:-1]))
+    spectrum = fft.rfft(circulant).reshape(-1, *(1,) * (columns.ndim - 1))
     product = fft.irfft(spectrum * fft.rfft(columns, size, axis=0), size, axis=0)
     return np.asarray(product[:n])
 
@@ -163,9 +163,9 @@ def _yule_walker(coefficients: FloatArray, lags: int) -> FloatArray:
 def recursion(coefficients, drive, past):  # type: ignore[no-untyped-def]
     """x_t = Σ φ_k x_{t−k} + drive_t, shape (n,), in the unit of ``drive``.
 
-    ``coefficients``: φ, shape (p,); ``drive``: shape (n,); ``past``: x of the p samples before the
-    first, the last one first, shape (p,). ``scipy.signal`` has this too, at half a second for its
-    import.
+    ``coefficients``: φ, shape (p,); ``drive``: shape (n,); ``past``: the p samples before the
+    first, the latest first, shape (p,). ``scipy.signal`` has this too, but its import takes half a
+    second.
     """
     p = coefficients.size
     x = np.empty(p + drive.size)
@@ -180,11 +180,11 @@ def recursion(coefficients, drive, past):  # type: ignore[no-untyped-def]
 
 
 FREEDOMS = (2.1, 2.3, 2.6, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
-"""Degrees of freedom considered."""
+"""Candidate degrees of freedom."""
 
 _BINS = 2000
 _LARGEST = 1e6
-"""Of a difference, in scales of the Student-t variable."""
+"""Largest tabulated difference, in scales of the Student-t variable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,10 +194,10 @@ class Tails:
     Attributes
     ----------
     degrees_of_freedom
-        The likeliest of :data:`FREEDOMS`.
+        The most likely of :data:`FREEDOMS`.
     evidence
-        Gain in log likelihood over normal innovations, less ½ ln n for the extra parameter:
-        half the difference in BIC, positive where Student-t is the better description.
+        Gain in log likelihood over normal innovations, minus ½ ln n for the extra parameter: half
+        the difference in BIC, positive if Student-t is the better description.
     """
 
     degrees_of_freedom: float
@@ -205,18 +205,18 @@ class Tails:
 
 
 def tails(differences: FloatArray) -> Tails:
-    """Weigh Student-t against normal noise by differences of two innovations each, shape (n,).
+    """Compare Student-t and normal noise, from differences of two innovations each, shape (n,).
 
     The likelihood is a composite one: an innovation may be in two differences.
     """
     n = differences.size
     size = np.abs(differences)
-    middle = float(np.median(size))
-    if middle == 0.0:
+    median = float(np.median(size))
+    if median == 0.0:
         return Tails(FREEDOMS[-1], -np.inf)
-    edges = np.sinh(np.linspace(0.0, np.arcsinh(float(size.max()) / middle), _BINS + 1))
-    count = np.histogram(size / middle, edges)[0].astype(float)
-    # The last bin ends at the largest value, which rounding may put a hair beyond it.
+    edges = np.sinh(np.linspace(0.0, np.arcsinh(float(size.max()) / median), _BINS + 1))
+    count = np.histogram(size / median, edges)[0].astype(float)
+    # The last bin ends at the largest value, which rounding may put just outside.
     count[-1] += n - count.sum()
     x, count = 0.5 * (edges[1:] + edges[:-1])[count > 0], count[count > 0]
     variance = float(count @ x**2) / n
@@ -281,19 +281,20 @@ class Noise:
     coefficients
         φ of x_t = Σ φ_k x_{t−k} + ε_t, shape (p,).
     bic
-        Bayesian information criterion of the orders 0 … 15, less the smallest, shape (16,): the
+        Bayesian information criterion of the orders 0 … 15, minus the smallest, shape (16,): the
         evidence for the order.
     differences
         Number of rotation differences behind the estimate.
     degrees_of_freedom
-        Of Student-t innovations; ``None`` for normal ones.
+        Degrees of freedom of Student-t innovations; ``None`` for normal ones.
     student_t_evidence
-        Gain in log likelihood of Student-t over normal innovations, less ½ ln n.
+        Gain in log likelihood of Student-t over normal innovations, minus ½ ln n.
     differentiated
-        x is the change from sample to sample of an autoregressive process, to which φ belongs.
+        Whether the noise is the change from sample to sample of an autoregressive process, to which
+        φ belongs.
     hidden_sd_rpm
-        Standard deviation of the rounding of a quantised speed that repeats every rotation, and
-        is therefore not in ``sd_rpm``.
+        Standard deviation of the rounding of a quantised speed that repeats every rotation and is
+        therefore not in ``sd_rpm``.
     """
 
     sd_rpm: float
@@ -323,7 +324,7 @@ class Noise:
         return self.hidden_sd_rpm > 0.5 * self.sd_rpm
 
     def covariance_times(self, columns: FloatArray) -> FloatArray:
-        """Σ X for X of shape (n, p), Σ the noise's covariance without what repeats, rpm²."""
+        """Σ X for X of shape (n, p), rpm², with noise covariance Σ excluding repeating rounding."""
         if not self.order and not self.differentiated:
             return self.sd_rpm**2 * columns
         return self.sd_rpm**2 * correlated(self.coefficients, columns, self.differentiated)
@@ -334,20 +335,20 @@ def rotation_difference(
 ) -> FloatArray:
     """Residual one load rotation later minus the residual, shape about (n − T_w/Δt,), rpm.
 
-    NaN where either is missing. A rotation is seldom a whole number of samples; the fraction is a
+    NaN where either is missing. A rotation is seldom a whole number of samples. The fraction is a
     shift in the frequency domain, which preserves the autocorrelation of the noise.
     """
-    n, turn = residual_rpm.size, rotation_period_s / sampling_period_s
-    lag = max(1, math.floor(turn))
-    phase = 2.0j * np.pi * (turn - lag) * np.fft.rfftfreq(n)
-    later = np.fft.irfft(np.fft.rfft(bridged(residual_rpm)) * np.exp(phase), n)
-    nearest = max(1, round(turn)) - lag
-    later[np.isnan(np.roll(residual_rpm, -nearest))] = np.nan
-    return np.asarray(later[lag : n - WRAPPED] - residual_rpm[: max(0, n - WRAPPED - lag)])
+    n, rotation_samples = residual_rpm.size, rotation_period_s / sampling_period_s
+    lag = max(1, math.floor(rotation_samples))
+    phase = 2.0j * np.pi * (rotation_samples - lag) * np.fft.rfftfreq(n)
+    shifted = np.fft.irfft(np.fft.rfft(bridged(residual_rpm)) * np.exp(phase), n)
+    nearest = max(1, round(rotation_samples)) - lag
+    shifted[np.isnan(np.roll(residual_rpm, -nearest))] = np.nan
+    return np.asarray(shifted[lag : n - WRAPPED] - residual_rpm[: max(0, n - WRAPPED - lag)])
 
 
 def bridged(residual_rpm: FloatArray) -> FloatArray:
-    """The residual with straight lines where samples are missing (NaN), shape (n,), rpm."""
+    """The residual, interpolated linearly where samples are missing (NaN), shape (n,), rpm."""
     missing = np.isnan(residual_rpm)
     if not missing.any():
         return residual_rpm
@@ -363,7 +364,7 @@ def estimate_noise(
     order: int | None = None,
     steps: SpeedSteps | None = None,
 ) -> Noise:
-    """Noise order, coefficients and scale from what does not repeat.
+    """Estimate noise order, coefficients and scale from rotation differences.
 
     See docs/design.md, "Statistics".
 
@@ -373,8 +374,8 @@ def estimate_noise(
         Recording minus its RMSE optimum on an even grid, shape (n,), NaN at samples left out.
     kind, order
         ``auto`` chooses an AR order from 0 to 15 by BIC, and normal or Student-t innovations;
-        ``white`` is order 0; ``ar`` takes ``order``, or the best order above 0 where it is not
-        given; ``student_t`` chooses the order, and innovations are Student-t.
+        ``white`` is order 0; ``ar`` takes ``order``, or the best order above 0 if none is given;
+        ``student_t`` chooses the order and takes Student-t innovations.
     steps
         Steps of a quantised speed.
 
@@ -393,7 +394,7 @@ def estimate_noise(
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
     variance = float(np.nansum(d**2)) / (2.0 * count)
-    # Rounding that repeats is missing from d; if d has the variance of all rounding, none repeats.
+    # Repeating rounding is missing from d; if d has the variance of all rounding, none repeats.
     hidden = 0.0 if steps is None else max(0.0, steps.sd_rpm**2 - variance)
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated
@@ -412,7 +413,7 @@ def estimate_noise(
     coefficients = fits[best][1]
     e = innovations(series, coefficients)
     heaviness = tails(e[np.isfinite(e)])
-    # Coarse rounding has a shape of its own, which neither kind of innovation has.
+    # Coarse rounding has a distribution of its own, unlike both kinds of innovation.
     heavy = kind == "student_t" or (kind == "auto" and heaviness.evidence > 0.0 and not coarse)
     return Noise(
         math.sqrt(variance),

@@ -1,11 +1,11 @@
-"""Files that appear whole or not at all, and hidden folders that one process at a time holds.
+"""Write files whole or not at all, and lock hidden folders for one process at a time.
 
-What is being written has another name and is renamed when it is whole. What a run keeps until it
-ends is in a hidden folder beside its output: it is locked, which the system ends with the process,
-and the next run into the same output takes it over.
+A file is written under another name and renamed when it is complete. The intermediate results of a
+run are kept in a hidden folder beside its output. The folder is locked; the system releases the
+lock when the process ends, and the next run into the same output takes the folder over.
 
-Others may be able to write beside an output folder. So a hidden folder is made for this user alone,
-and one that is there already is used only if nobody else can write it.
+Other users may be able to write beside an output folder. A hidden folder is therefore created for
+this user alone, and an existing one is used only if nobody else can write to it.
 """
 
 from __future__ import annotations
@@ -27,25 +27,26 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 @contextmanager
 def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
-    """A temporary file that takes the name ``path`` when the block ends without exception.
+    """Yield a temporary file that is renamed to ``path`` when the block ends without exception.
 
     Parameters
     ----------
     durable
-        It is on the disk, under its name, when the block has ended: a power cut leaves it whole.
+        Flush the file and its name to disk before the block ends, so that a power cut leaves it
+        whole.
 
     Raises
     ------
     ResultError
-        If nothing can be written there, what is there is no file, or another process writes it.
+        If nothing can be written there, ``path`` is not a file, or another process writes it.
     OSError
-        What the system said in the block, a full disk say, of ``path``.
+        A system error in the block, such as a full disk, reported for ``path``.
     """
     path = Path(path)
     require_replaceable(path)
     with locked_sibling(path, STAGING) as folder:
         new = folder / path.name
-        new.unlink(missing_ok=True)  # of a writer that was killed
+        new.unlink(missing_ok=True)  # left by a killed writer
         try:
             yield new
             if durable:
@@ -62,7 +63,7 @@ def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
 
 
 def require_replaceable(path: Path) -> None:
-    """There is a file or nothing at a place: root could replace a device, which nobody wants.
+    """Require a file or nothing at a path: as root, replacing could destroy a device.
 
     Raises
     ------
@@ -79,16 +80,16 @@ def require_replaceable(path: Path) -> None:
 
 @contextmanager
 def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
-    """The hidden folder ``.<name><suffix>`` beside an output, made, locked and kept if not empty.
+    """Create and lock the hidden folder ``.<name><suffix>`` beside an output; keep it if not empty.
 
     Raises
     ------
     ResultError
-        If another process holds the lock, no folder can be made there, or what is there may be of
-        somebody else.
+        If another process holds the lock, no folder can be made there, or the folder there may
+        belong to somebody else.
     """
     folder = sibling(output, suffix)
-    made = [parent for parent in folder.parents if not parent.exists()]
+    new_parents = [parent for parent in folder.parents if not parent.exists()]
     try:
         handle = _locked(folder, output)
     except OSError as error:
@@ -97,23 +98,23 @@ def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
         yield folder
     finally:
         with suppress(OSError):
-            for empty in (folder, *made):
+            for empty in (folder, *new_parents):
                 empty.rmdir()  # a run that failed leaves no empty folders
         os.close(handle)
 
 
 def sibling(output: Path, suffix: str) -> Path:
-    """The hidden folder ``.<name><suffix>`` beside an output."""
+    """Path of the hidden folder ``.<name><suffix>`` beside an output."""
     return output.with_name(f".{output.name}{suffix}")
 
 
 def make_own(folder: Path) -> None:
-    """A folder of this user alone, made where there is none.
+    """Make a folder for this user alone if there is none.
 
     Raises
     ------
     ResultError
-        If what is there may be of somebody else.
+        If the folder there may belong to somebody else.
     OSError
         If no folder can be made.
     """
@@ -124,16 +125,17 @@ def make_own(folder: Path) -> None:
 
 
 def require_own(folder: Path) -> None:
-    """Nobody can write in a folder but this user, and whoever could exchange it as a whole.
+    """Require that only this user can write to a folder, or those who could replace it anyway.
 
-    That is the owner of the folder above it, and those who may write there unless it is sticky.
+    These are the owner of the parent folder, and those who may write to the parent unless it is
+    sticky.
 
     Raises
     ------
     FileNotFoundError
         If nothing is there.
     ResultError
-        If it is no folder, or others can write in it.
+        If it is no folder, or others can write to it.
     """
     status, above = os.lstat(folder), os.stat(folder.parent)
     exchange = 0 if above.st_mode & stat.S_ISVTX else above.st_mode
@@ -149,13 +151,13 @@ def require_own(folder: Path) -> None:
 
 
 def _locked(folder: Path, output: Path) -> int:
-    """A handle that holds the lock of a folder, which is made."""
+    """Make a folder and lock it; return the handle that holds the lock."""
     while True:
         try:
             make_own(folder)
             handle = os.open(folder, os.O_RDONLY)
         except FileNotFoundError:
-            continue  # the run that held the lock has removed the folder
+            continue  # the previous holder of the lock has removed the folder
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -174,7 +176,7 @@ def _locked(folder: Path, output: Path) -> int:
 
 
 def _to_disk(path: Path) -> None:
-    """Have the system write what it holds of a file, or the names in a folder."""
+    """Flush a file, or the names in a folder, to disk."""
     handle = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -183,7 +185,7 @@ def _to_disk(path: Path) -> None:
 
 
 def unwritable(path: str | Path, error: OSError | ValueError) -> ResultError:
-    """Why nothing can be written at a place."""
+    """The error for a place where nothing can be written."""
     return ResultError(
         "Nothing can be written here.",
         file=path,

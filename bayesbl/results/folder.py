@@ -1,8 +1,8 @@
-"""An output folder appears whole or not at all, and what a user put there is never deleted.
+"""Output folders that appear whole or not at all; files of the user are never deleted.
 
-Its ``manifest.json`` lists what a run wrote. Another run replaces that, and nothing else.
+``manifest.json`` lists the files of a run. A later run replaces these and nothing else.
 
-No output is an input: every writer asks that before it starts, with or without ``--force``.
+No output may be an input. Every writer checks this before it starts, with or without ``--force``.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from bayesbl.results.atomic import STAGING, locked_sibling, sibling, unwritable
 
 
 def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
-    """No output is an input or a folder that holds one, and no two outputs are one file.
+    """Require that no output is an input or a folder that contains one, and that outputs differ.
 
-    Files are compared as the system sees them: detours, symbolic and hard links, and names that
-    differ by case where the system does not tell them apart. Names of two outputs must differ by
-    more than case everywhere: what one system writes is copied to another.
+    Files are compared as the system sees them: relative paths, symbolic and hard links, and case on
+    systems that ignore it. Names of two outputs must differ by more than case everywhere, because
+    results are copied between systems.
 
     Raises
     ------
     ResultError
-        Naming the output, also if nothing can have its name.
+        With the name of the output; also if no file can have its name.
     """
     for output in outputs:
         _require_possible(output)
@@ -42,8 +42,8 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
                     found=f"the input {path}",
                     expected="another place for the output",
                 )
-    for number, output in enumerate(outputs):
-        for other in outputs[:number]:
+    for k, output in enumerate(outputs):
+        for other in outputs[:k]:
             if _same(output, other) or _folded(output) == _folded(other):
                 raise ResultError(
                     "Two outputs are the same file.",
@@ -54,12 +54,12 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
 
 
 def require_inside(folder: Path, name: str) -> Path:
-    """The file of this name in a folder; only an absolute name may lead out of it.
+    """Path of a file in a folder; only an absolute name may lead out of the folder.
 
     Raises
     ------
     ResultError
-        If a relative name does.
+        If a relative name leads out of it.
     """
     path = folder / name
     home, place = (os.path.realpath(p) for p in (folder, path.parent))
@@ -77,13 +77,13 @@ def _require_possible(output: Path) -> None:
     try:
         os.lstat(output)
     except (FileNotFoundError, NotADirectoryError):
-        pass  # as it should be, or for whoever makes the folder to refuse
+        pass  # as it should be; making the folder may still fail
     except (OSError, ValueError) as error:
         raise unwritable(shortened(str(output), 200), error) from None
 
 
 def _places(path: Path) -> set[Path]:
-    """A file and the folders that it lies in, by its name and by where its links lead."""
+    """A file and all its parent folders, both as named and after resolving links."""
     named, real = Path(os.path.abspath(path)), Path(os.path.realpath(path))
     return {named, *named.parents, real, *real.parents}
 
@@ -112,14 +112,14 @@ _REPLACED = ".replaced"
 
 
 def is_finished(path: str | Path) -> bool:
-    """Whether a folder holds a result; as folders appear whole, its files are proof enough."""
+    """Whether a folder holds a result; folders appear whole, so one of its files is proof."""
     return any(os.path.isfile(Path(path) / name) for name in (SUMMARY_FILE, RESULT_FILE))
 
 
 def require_free(path: str | Path, *, force: bool = False) -> None:
-    """The folder may be written: it is absent, empty, or a result that ``force`` gives up.
+    """Require a folder to be absent, empty, or a result that may be replaced with ``force``.
 
-    Asking before a long run starts spares the user the disappointment after it.
+    Checked before a long run, so that it does not fail at its end.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
     path = Path(os.path.abspath(path))
     if path.name and os.path.lexists(sibling(path, STAGING) / _REPLACED):
         with _staging(path):
-            pass  # a run was killed between the two renames of new_result
+            pass  # restores the old result if a run was killed between the renames of new_result
     require_no_file(path)
     require_no_link(path)
     if not os.path.exists(path):  # Path.exists raises for a name that is too long
@@ -160,12 +160,12 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
 
 
 def require_no_link(folder: Path) -> None:
-    """There is no link at the place of a folder: its target might be anybody's.
+    """Refuse a link in place of a folder: its target could be anybody's.
 
     Raises
     ------
     ResultError
-        Naming the link and where it leads.
+        With the link and its target.
     """
     if os.path.islink(folder):
         raise ResultError(
@@ -177,12 +177,12 @@ def require_no_link(folder: Path) -> None:
 
 
 def require_no_file(folder: Path) -> None:
-    """There is no file at the place of a folder, nor at one above it.
+    """Refuse a file in place of a folder or of a folder above it.
 
     Raises
     ------
     ResultError
-        Naming the file.
+        With the file.
     """
     for place in (folder, *folder.parents):
         if os.path.lexists(place) and not place.is_dir():
@@ -195,9 +195,10 @@ def require_no_file(folder: Path) -> None:
 
 @contextmanager
 def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
-    """A folder to write a result into; it takes its name when the block ends without exception.
+    """Yield a folder to write a result into; it gets its name when the block ends without
+    exception.
 
-    ``path`` is untouched until then, and for good if the block raises or the process is killed.
+    ``path`` is untouched until then, and stays so if the block raises or the process is killed.
     With ``force``, an earlier result is deleted only after the new one has taken its place.
 
     Yields
@@ -207,8 +208,8 @@ def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     Raises
     ------
     ResultError
-        As :func:`require_free`, on entering and again on leaving: another run may have been
-        quicker.
+        As :func:`require_free`, on entering and again on leaving, as another run may have finished
+        first.
     """
     path = Path(os.path.abspath(path))
     require_free(path, force=force)
@@ -226,7 +227,7 @@ def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _staging(path: Path) -> Iterator[Path]:
-    """The hidden folder that the result of a path is made in, empty before and after."""
+    """The hidden folder in which the result of a path is made, emptied before and after."""
     with locked_sibling(path, STAGING) as folder:
         _empty(folder, path)
         try:
@@ -240,21 +241,21 @@ def _staging(path: Path) -> Iterator[Path]:
 
 
 def _empty(folder: Path, path: Path) -> None:
-    """Empty a hidden folder; a result that was replaced by nothing gets its name back."""
-    aside = folder / _REPLACED
-    if os.path.lexists(aside) and not os.path.lexists(path):
-        aside.rename(path)
+    """Empty a hidden folder; first restore a replaced result whose successor is missing."""
+    replaced = folder / _REPLACED
+    if os.path.lexists(replaced) and not os.path.lexists(path):
+        replaced.rename(path)
     for entry in folder.iterdir():
         shutil.rmtree(entry, ignore_errors=True)
 
 
 def figure_title(name: str) -> str:
-    """What a figure's file holds as its title, by which it is told from a user's: in ASCII."""
+    """Title (ASCII) stored in a figure's file, which distinguishes it from a user's file."""
     return quote(name)
 
 
 def _own(folder: Path) -> set[str]:
-    """What is in a folder that a run has written: its manifest's, and what is drawn later."""
+    """Files of a run in a folder: those of its manifest, and those drawn later."""
     files: Collection[str] = ()
     with suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
         stored = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))["files"]
@@ -270,7 +271,7 @@ def _own(folder: Path) -> set[str]:
 
 
 def _entries(folder: Path) -> set[str]:
-    """All that is in a folder and in those below it; what links lead to is not."""
+    """All files and folders below a folder, without following links."""
     return {
         Path(root, name).relative_to(folder).as_posix()
         for root, folders, files in os.walk(folder)

@@ -1,4 +1,4 @@
-"""A bench out of an identification's result, with the joint prior that its file cannot hold."""
+"""Read a bench from an identification's result, with the joint prior that a bench file lacks."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ IDENTIFIED = Group(
 
 
 def require_gap(bench: Bench, file: str | Path) -> None:
-    """The bench of a file is not rigid.
+    """Refuse a rigid bench.
 
     Raises
     ------
     ConfigError
-        If it is.
+        If the bench is rigid.
     """
     if bench.drive == "rigid":
         raise ConfigError(
@@ -46,7 +46,8 @@ def require_gap(bench: Bench, file: str | Path) -> None:
 
 
 def bench_from(path: str | Path) -> Bench:
-    """The bench of a bench file, or of an identification's ``result.nc`` with its joint prior.
+    """Read a bench from a bench file, or from an identification's ``result.nc`` with its joint
+    prior.
 
     Raises
     ------

@@ -25,8 +25,8 @@ class Interval(TypedDict):
 def interval(draws: FloatArray, level: float, kind: IntervalKind) -> Interval:
     """Median and credible interval of draws, any shape.
 
-    ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest that holds
-    ``level``.
+    ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest interval that
+    holds ``level``.
     """
     flat = np.sort(np.asarray(draws, dtype=float).ravel())
     if kind == "hdi":

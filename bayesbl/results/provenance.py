@@ -1,4 +1,4 @@
-"""Where a result came from, as attributes that NetCDF can hold."""
+"""Provenance of a result, as attributes that NetCDF can hold."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def file_sha256(path: str | Path) -> str:
 
 
 def code_versions() -> dict[str, str]:
-    """All that may change the numbers of the same problem: this code, Python, dependencies."""
-    own = f"{bayesbl.__version__}, commit {git_commit()}"
-    return {"bayesbl": own, "python": platform.python_version(), **dependency_versions()}
+    """All versions that may change the numbers: this code, Python, dependencies."""
+    package = f"{bayesbl.__version__}, commit {git_commit()}"
+    return {"bayesbl": package, "python": platform.python_version(), **dependency_versions()}
 
 
 @cache
 def code_sha256() -> str:
-    """SHA-256 of this package's code as it was when this process first asked."""
+    """SHA-256 of this package's code when this process first called the function."""
     package = Path(bayesbl.__file__).resolve().parent
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
@@ -78,9 +78,9 @@ def dependency_versions() -> Mapping[str, str]:
 
 @cache
 def git_commit() -> str:
-    """Commit of the checkout that the package runs from, ``-dirty`` if its content is another.
+    """Commit of the checkout that the package runs from, with ``-dirty`` if files were changed.
 
-    ``"unknown"`` if the package is installed elsewhere; a repository that merely surrounds its
+    ``"unknown"`` if the package is installed elsewhere. A repository that merely contains its
     environment does not count.
     """
     package = Path(bayesbl.__file__).resolve().parent
@@ -96,10 +96,10 @@ def git_commit() -> str:
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
-    # Inside a git hook these variables name the hook's repository instead of the folder's.
+    # Inside a git hook, these variables name the hook's repository instead of the folder's.
     environment = {key: value for key, value in os.environ.items() if not key.startswith("GIT_")}
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             ["git", "-C", str(folder), *arguments],
             env=environment,
             capture_output=True,
@@ -109,7 +109,7 @@ def _git(folder: Path, *arguments: str) -> str | None:
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip()
+    return completed.stdout.strip()
 
 
 def _version(package: str) -> str:

@@ -1,8 +1,9 @@
 """Result files: NetCDF trees and JSON, each written under another name and renamed.
 
-The last bytes of a result file are its seal, the SHA-256 of all before them. It is asked before a
-library opens the file, since HDF5 may crash or hang on damaged bytes. HDF5 and NetCDF readers
-ignore what follows the end that a file states, and drop it when they change a file.
+The last bytes of a result file are its seal, the SHA-256 of all bytes before them. The seal is
+checked before a library opens the file, since HDF5 may crash or hang on damaged bytes. HDF5 and
+NetCDF readers ignore bytes behind the end that a file states, and drop them when they change a
+file.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def _seal_of(file: BinaryIO, size: int) -> bytes:
 FORMAT_VERSION = 4
 
 OUTCOME = "outcome"
-"""Root attribute that tells how a run ended; absent or :data:`RUNNING` while it has not."""
+"""Root attribute with the outcome of a run; absent or :data:`RUNNING` until it ends."""
 
 RUNNING = "running"
 
@@ -63,8 +64,8 @@ RUNNING = "running"
 def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     """Write a tree as NetCDF; the file appears whole or not at all.
 
-    The root attributes gain the mark of our format, and the file ends in its seal; :data:`OUTCOME`
-    among the attributes makes it a finished result.
+    The root attributes gain the mark of our format, and the file ends in its seal. With the
+    attribute :data:`OUTCOME` it counts as a finished result.
 
     Raises
     ------
@@ -77,25 +78,23 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
         try:
             _write_netcdf(marked, temporary)
         except RuntimeError as error:
-            # netCDF4 does not say what the system said.
+            # netCDF4 does not pass on the system's error.
             message = f"result.nc cannot be written; is the disk full? ({error})"
             raise OSError(errno.EIO, message) from error
         seal(temporary)
 
 
 class _Later(list[tuple[Any, Any]]):
-    """Values and their places in a file, until the places of all are made."""
+    """Values with their targets in a file, written once all targets are defined."""
 
-    def add(self, values: object, place: object) -> None:
-        """As a store of xarray asks a writer to."""
-        self.append((values, place))
+    def add(self, values: object, target: object) -> None:
+        """Add an entry; the interface of a writer in xarray."""
+        self.append((values, target))
 
 
 def _write_netcdf(tree: xr.DataTree, path: Path) -> None:
-    """As ``tree.to_netcdf`` writes it, in a third of the time.
-
-    A definition after values makes NetCDF go over all that is defined once more.
-    """
+    """Write as ``tree.to_netcdf`` does, in a third of the time. A definition after values makes
+    NetCDF rewrite everything defined so far."""
     import netCDF4
 
     later = _Later()
@@ -106,8 +105,8 @@ def _write_netcdf(tree: xr.DataTree, path: Path) -> None:
             variables, attributes = encode_dataset_coordinates(node.to_dataset(inherit=is_root))
             store: Any = NetCDF4DataStore
             store(group).store(variables, attributes, writer=later)
-        for values, place in later:
-            place[...] = values
+        for values, target in later:
+            target[...] = values
 
 
 def read_tree(path: str | Path) -> xr.DataTree:
@@ -116,7 +115,7 @@ def read_tree(path: str | Path) -> xr.DataTree:
     Parameters
     ----------
     path
-        A NetCDF file that :func:`write_tree` wrote, or the output folder that holds it.
+        A NetCDF file that :func:`write_tree` wrote, or the output folder that contains it.
 
     Raises
     ------
@@ -160,17 +159,17 @@ def read_tree(path: str | Path) -> xr.DataTree:
 
 
 def write_json(content: Mapping[str, Any], path: str | Path) -> None:
-    """Write plain JSON, as :func:`json_text` gives it."""
+    """Write plain JSON, as made by :func:`json_text`."""
     write_text(json_text(content), path)
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """Plain JSON; numpy values become plain ones, and what is not finite becomes null."""
+    """Plain JSON; numpy values become plain ones, and values that are not finite become null."""
     return to_json(content, indent=2, inf_nan_mode="null", fallback=_plain).decode() + "\n"
 
 
 def texts(attribute: str | Iterable[object] | None) -> list[str]:
-    """A list of texts kept as an attribute: NetCDF gives one back as a text, none as nothing."""
+    """List of texts from an attribute; NetCDF returns a list of one as a text, of none as none."""
     if isinstance(attribute, str):
         return [attribute] if attribute else []
     return [] if attribute is None else [str(text) for text in attribute]
@@ -208,7 +207,7 @@ def _require_intact(file: Path) -> None:
 
 
 def _require_whole(file: Path) -> None:
-    """The seal is no secret: whoever changes a file can seal it again."""
+    """Check the structure too, because whoever changes a file can seal it again."""
     try:
         size = require_whole(file, partial(ResultError, file=file))
     except (OSError, RuntimeError, ValueError):
@@ -241,7 +240,7 @@ def _require_this_version(tree: xr.DataTree, file: Path) -> None:
 
 
 def _plain(value: object) -> Any:
-    """What pydantic asks for of a value that it does not know."""
+    """Convert a value that pydantic does not know."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -266,9 +265,9 @@ class Head(Origin):
 
 
 def summary_of(tree: xr.DataTree) -> Any:
-    """``summary.json`` without sentences: its head by the attributes of a result, and the rest.
+    """``summary.json`` without sentences: its head from the attributes of a result, and the rest.
 
-    The rest is the attribute ``summary``, JSON of what is said of this kind of result alone.
+    The rest is the attribute ``summary``, JSON with the keys of this kind of result.
     """
     return {
         "kind": tree.attrs["kind"],

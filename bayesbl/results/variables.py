@@ -1,9 +1,8 @@
-"""Variables of ``result.nc``, each declared once: the one writer of all groups.
+"""Variables of ``result.nc``, each declared once, and the one writer of all groups.
 
-A :class:`Group` is declared where its science lives, as a table of name, dimensions, unit and
-meaning. Whoever fills it gives plain arrays by name to :func:`dataset`. Variables whose names
-depend on what was measured (symbols, channels) come from a function of the name,
-:attr:`Group.named`.
+A :class:`Group` is declared in the module of its physics, as a table of name, dimensions, unit and
+meaning. Callers pass plain arrays by name to :func:`dataset`. Variables whose names depend on the
+measurement (symbols, channels) are declared by a function of the name, :attr:`Group.named`.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 STACKED = "snapshot"
-"""Dimension in front of those declared where several snapshots are stored in one group."""
+"""Leading dimension if several snapshots are stored in one group."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +25,7 @@ class Variable:
     Attributes
     ----------
     unit
-        ``"1"`` of a pure number, ``"text"`` of a text.
+        ``"1"`` for a pure number, ``"text"`` for a text.
     meaning
         Its long name.
     optional
@@ -47,11 +46,11 @@ class Group:
     Attributes
     ----------
     variables
-        Those whose names are known beforehand.
+        Variables with fixed names.
     coordinates
         Labels of its dimensions.
     named
-        Declares a variable by its name where the names depend on what was measured; ``None`` for
+        Function that declares a variable from a name that depends on the measurement; ``None`` for
         a name that does not belong here.
     """
 
@@ -65,18 +64,18 @@ class Group:
         for declared in (*self.variables, *self.coordinates):
             if declared.name == name:
                 return declared
-        own = None if self.named is None or name == STACKED else self.named(name)
-        if own is None:
+        declaration = None if self.named is None or name == STACKED else self.named(name)
+        if declaration is None:
             raise KeyError(f"group {self.name} declares no variable {name}")
-        return own
+        return declaration
 
 
 def table(text: str) -> tuple[Variable, ...]:
-    """Declarations as the lines of a table.
+    """Declare variables by the lines of a table.
 
-    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar; a ``?``
-    behind the name makes it optional, and the unit ``text`` is that of texts. Lines that are
-    indented farther than the first one go on with the line above.
+    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar. A ``?``
+    behind the name makes it optional, and the unit ``text`` marks texts. Lines that are indented
+    more than the first one continue the line above.
     """
     rows: list[str] = []
     margin = None
@@ -107,14 +106,14 @@ def labels(name: str, meaning: str) -> Variable:
 
 
 def columns(group: Group, sources: Sequence[object]) -> dict[str, object]:
-    """Values for :func:`dataset` from several objects, a value each, NaN for ``None``."""
+    """Values for :func:`dataset` from several objects, one value each, NaN for ``None``."""
     names = _attributes(group, sources[0]) if sources else ()
     values = {name: [getattr(source, name) for source in sources] for name in names}
-    return {n: [np.nan if one is None else one for one in column] for n, column in values.items()}
+    return {n: [np.nan if v is None else v for v in column] for n, column in values.items()}
 
 
 def datasets(groups: Mapping[Group, object]) -> dict[str, xr.Dataset]:
-    """Groups by name, each from its source, or from several in a tuple, as :func:`dataset`."""
+    """Groups by name, each from its source or a tuple of sources, as by :func:`dataset`."""
     return {
         group.name: dataset(group, *(source if isinstance(source, tuple) else (source,)))
         for group, source in groups.items()
@@ -122,28 +121,29 @@ def datasets(groups: Mapping[Group, object]) -> dict[str, xr.Dataset]:
 
 
 def dataset(group: Group, *sources: object) -> xr.Dataset:
-    """Plain arrays as a group, dimensions, units and long names as declared.
+    """Make a group from plain arrays, with dimensions, units and long names as declared.
 
-    Coordinates of numbers that no source has count from 0.
+    Numeric coordinates that no source provides count from 0.
 
     Parameters
     ----------
     sources
-        Mappings from name to array, number or text, where ``None`` leaves an optional one out; and
-        objects, of which attributes with declared names are taken; or ``None``. Later ones prevail.
+        Mappings from name to array, number or text, where ``None`` leaves an optional variable out;
+        objects, of which attributes with declared names are taken; or ``None``. Later sources
+        override earlier ones.
 
     Raises
     ------
     KeyError
-        For a name that is not declared, or one that is declared and not given.
+        For a name that is not declared, or a declared one that is missing.
     ValueError
-        If an array has another number of dimensions than its declaration.
+        If an array does not have the declared number of dimensions.
     """
-    every: dict[str, object] = {}
+    values: dict[str, object] = {}
     for source in sources:
         if source is not None:
-            every |= source if isinstance(source, Mapping) else _attributes(group, source)
-    stored = {n: _stored(group, n, value) for n, value in every.items() if value is not None}
+            values |= source if isinstance(source, Mapping) else _attributes(group, source)
+    stored = {n: _stored(group, n, value) for n, value in values.items() if value is not None}
     sizes = {dim: size for variable in stored.values() for dim, size in variable.sizes.items()}
     for declared in group.coordinates:
         if declared.name in sizes and declared.name not in stored and declared.unit != "text":
@@ -160,7 +160,7 @@ def dataset(group: Group, *sources: object) -> xr.Dataset:
 
 
 def _attributes(group: Group, source: object) -> dict[str, object]:
-    """Those of an object that have names declared."""
+    """Attributes of an object that have declared names."""
     names = [declared.name for declared in (*group.variables, *group.coordinates)]
     return {name: getattr(source, name) for name in names if hasattr(source, name)}
 
@@ -181,14 +181,14 @@ def _stored(group: Group, name: str, value: object) -> xr.Variable:
 
 
 def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str, xr.Dataset]:
-    """Groups of several fits by snapshot name, stacked along :data:`STACKED`, padded with NaN.
+    """Stack groups of several fits, by snapshot name, along :data:`STACKED`, padded with NaN.
 
-    A group that not all have is left out.
+    A group that is missing in any fit is left out.
     """
     names = list(groups)
     stacked = {}
     for group in next(iter(groups.values())):
-        if not all(group in own for own in groups.values()):
+        if not all(group in fit_groups for fit_groups in groups.values()):
             continue
         parts = _of_one_size([groups[name][group] for name in names])
         stacked[group] = xr.concat(
@@ -204,15 +204,15 @@ def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str,
 
 
 def padded(rows: Sequence[object], width: int) -> NDArray[np.float64]:
-    """Rows of different lengths as (row, width), NaN behind."""
+    """Stack rows of different lengths, shape (row, width), padded with NaN at the end."""
     table = np.full((len(rows), width), np.nan)
-    for place, row in zip(table, map(np.asarray, rows), strict=True):
-        place[: row.size] = row
+    for target, row in zip(table, map(np.asarray, rows), strict=True):
+        target[: row.size] = row
     return table
 
 
 def _of_one_size(parts: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-    """All dimensions without labels brought to their longest, NaN behind."""
+    """Pad all dimensions without labels to their greatest length with NaN."""
     longest: dict[str, int] = {}
     for part in parts:
         for dim, size in part.sizes.items():

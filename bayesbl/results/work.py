@@ -1,18 +1,17 @@
-"""What a run has finished, kept under the address of its content until the result is stored.
+"""Finished steps of a run, stored under the hash of their inputs until the result is stored.
 
-The address is the SHA-256 of all that decides the numbers: the inputs, and the code that makes
-them. An entry is one file that appears whole or not at all, so a run that is killed loses the work
-in flight and nothing else, and the same command goes on to the same numbers. What is damaged, of
-another address, or cannot be read counts as not finished. Whoever writes an entry decides numbers,
-so the folder is this user's alone.
+The address is the SHA-256 of everything that determines the numbers: the inputs and the code. An
+entry is one file that appears whole or not at all. A killed run therefore loses only the step in
+progress, and the same command continues to the same numbers. An entry that is damaged, has another
+address, or cannot be read counts as missing. Whoever can write an entry can change the numbers, so
+only this user may write to the folder.
 
-What is kept are frozen dataclasses. A value is numbers, texts, ``None``, arrays, and tuples,
-mappings and dataclasses of these. Its JSON and its arrays are stored in one ``.npz``, nothing that
-could be executed; it is read as the type that the reader asks for, and refused if it is not of that
-type.
+Values are frozen dataclasses of numbers, texts, ``None``, arrays, and tuples, mappings and
+dataclasses of these. JSON and arrays of a value are stored in one ``.npz``, with nothing that could
+be executed. It is read as the type that the reader asks for, and refused if it does not match.
 
-A field that cannot be given on construction (``init=False``) or is no part of what the value is
-(``compare=False``) is left out; the dataclass itself makes it again.
+A field that cannot be given on construction (``init=False``) or is not part of the value
+(``compare=False``) is left out. The dataclass itself makes it again.
 """
 
 from __future__ import annotations
@@ -48,12 +47,12 @@ _TEXT = "text"
 
 
 def encoded(value: object) -> bytes:
-    """A value as the bytes of an ``.npz``.
+    """Encode a value as the bytes of an ``.npz``.
 
     Raises
     ------
     TypeError
-        If the value holds anything but numbers, texts, arrays and what is made of them.
+        If the value contains anything but numbers, texts, arrays and containers of them.
     """
     arrays: dict[str, Array] = {}
 
@@ -71,11 +70,11 @@ def encoded(value: object) -> bytes:
 
 @cache
 def decoder(kind: type[T]) -> Callable[[bytes], T]:
-    """A function from the bytes that :func:`encoded` made to the value, bit for bit the same.
+    """Return a function that decodes the bytes of :func:`encoded`, bit for bit.
 
     It raises exceptions of many kinds for bytes that do not hold a value of this type.
     """
-    # Dataclasses take the configuration of what is around them, here a tuple.
+    # Dataclasses take the configuration of their container, here a tuple.
     adapter = TypeAdapter(
         tuple[kind],  # type: ignore[valid-type]
         config=ConfigDict(arbitrary_types_allowed=True, extra="forbid"),
@@ -102,7 +101,7 @@ def address(value: object) -> str:
 
 
 def _plain(value: object, put: Callable[[Array], object]) -> Any:
-    """JSON of a value, with what ``put`` gives in place of each array."""
+    """JSON of a value, with the result of ``put`` in place of each array."""
     if is_dataclass(value) and not isinstance(value, type):
         kept = [f.name for f in fields(value) if f.init and f.compare]
         return {name: _plain(getattr(value, name), put) for name in kept}
@@ -142,26 +141,26 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
 _UNFINISHED = ".unfinished"
 
 _PART = ".part"
-"""Of what is being written; a writer that is killed leaves it."""
+"""Suffix of a file being written; a killed writer leaves it."""
 
 
 def code_identity() -> str:
-    """All code that numbers come from: this package's, Python's, the dependencies'."""
+    """Hash of all code that determines numbers: this package's, Python's, the dependencies'."""
     return address([code_sha256(), platform.python_version(), dependency_versions()])
 
 
 @dataclass(frozen=True, slots=True)
 class WorkStore:
-    """Finished work in one folder, which is this user's alone.
+    """Finished work in one folder that only this user can write to.
 
     Attributes
     ----------
     folder
-        ``None`` keeps nothing: the run is made in one go.
+        ``None`` stores nothing: the run is made in one go.
     fresh
-        Work is made anew, and kept, whatever is there.
+        Whether to compute and store anew even if work is stored.
     code
-        Part of every address: what other code made is not recalled.
+        Part of every address, so that results of other code are not recalled.
     """
 
     folder: Path | None = None
@@ -171,12 +170,12 @@ class WorkStore:
     @classmethod
     @contextmanager
     def beside(cls, output: Path, *, fresh: bool = False) -> Iterator[WorkStore]:
-        """The finished work of an unfinished run into a folder, locked; ``fresh`` forgets it.
+        """The store of an unfinished run beside its output, locked; ``fresh`` clears it.
 
         Raises
         ------
         ResultError
-            If another run into the same output folder is under way, or no folder can be made.
+            If another run into the same output folder is in progress, or no folder can be made.
         """
         with locked_sibling(output, _UNFINISHED) as folder:
             store = cls(folder)
@@ -186,41 +185,41 @@ class WorkStore:
 
     @classmethod
     def shared(cls, folder: Path, *, fresh: bool = False) -> WorkStore:
-        """What may be made again at any time; nothing is kept where it is not this user's alone."""
+        """A store of repeatable work; stores nothing if others can write to the folder."""
         try:
             require_own(folder)
         except FileNotFoundError:
-            pass  # it is made when it is written
+            pass  # the folder is made by the first write
         except (OSError, ResultError):
             return cls(None, fresh)
         return cls(folder, fresh)
 
     @property
     def holds_work(self) -> bool:
-        """Whether there is anything that a later run could go on from."""
+        """Whether there is anything that a later run could continue from."""
         return bool(self._files())
 
     def get(self, what: str, inputs: object, make: Callable[[], T], kind: type[T]) -> T:
-        """Finished work: recalled, or made and kept.
+        """Recall finished work, or make and store it.
 
         Parameters
         ----------
         what
-            Name of the work: the same inputs may decide several.
+            Name of the work: the same inputs may determine several.
         inputs
-            All that decides the numbers, as :func:`bayesbl.results.work.address` takes it.
+            All that determines the numbers, as :func:`bayesbl.results.work.address` takes it.
         kind
             Type of the work, as :func:`bayesbl.results.work.decoder` takes it.
         """
-        kept = None if self.fresh else self.recall(what, inputs, kind)
-        if kept is not None:
-            return kept
-        made = make()
-        self.keep(what, inputs, made)
-        return made
+        stored = None if self.fresh else self.recall(what, inputs, kind)
+        if stored is not None:
+            return stored
+        result = make()
+        self.keep(what, inputs, result)
+        return result
 
     def recall(self, what: str, inputs: object, kind: type[T]) -> T | None:
-        """Finished work; ``None`` if there is none that can be believed."""
+        """Finished work; ``None`` if there is no valid entry."""
         if self.folder is None:
             return None
         key, decoded = self.address_of(what, inputs), decoder(kind)  # type: ignore[arg-type]
@@ -229,18 +228,18 @@ class WorkStore:
             head, _, content = (self.folder / key).read_bytes().partition(b"\n")
             return decoded(content) if head == _head(key, content) else None
         except Exception:
-            # What is damaged fails in any way; then the work is made again.
+            # A damaged entry may fail in any way; the work is then made again.
             return None
 
     def keep(self, what: str, inputs: object, value: object) -> None:
-        """Keep finished work, whole or not at all.
+        """Store finished work, whole or not at all.
 
         Raises
         ------
         ResultError
-            If the folder is not this user's alone, or cannot be made.
+            If others can write to the folder, or it cannot be made.
         OSError
-            If the disk is full, say.
+            If the file cannot be written, for example because the disk is full.
         """
         if self.folder is None:
             return
@@ -249,7 +248,7 @@ class WorkStore:
         except OSError as error:
             raise unwritable(self.folder, error) from None
         key, content = self.address_of(what, inputs), encoded(value)
-        # Several processes may keep the same work.
+        # Several processes may store the same work.
         handle, part = tempfile.mkstemp(_PART, dir=self.folder)
         try:
             with open(handle, "wb") as file:
@@ -262,21 +261,21 @@ class WorkStore:
             raise
 
     def clear(self) -> None:
-        """Forget all."""
+        """Delete all entries."""
         self._delete(self._files())
 
     def keep_latest(self, *, size_bytes: float = math.inf, count: float = math.inf) -> None:
-        """Delete the oldest entries until the others are no more, and take no more, than this."""
+        """Delete the oldest entries until the others are within this number and total size."""
         latest = sorted(self._files().items(), key=lambda entry: -entry[1].st_mtime_ns)
-        taken, old = 0, []
-        for number, (name, status) in enumerate(latest, start=1):
-            taken += status.st_size
-            if taken > size_bytes or number > count:
+        total_bytes, old = 0, []
+        for k, (name, status) in enumerate(latest, start=1):
+            total_bytes += status.st_size
+            if total_bytes > size_bytes or k > count:
                 old.append(name)
         self._delete(old)
 
     def keep_only(self, addresses: Collection[str]) -> None:
-        """Forget all but what is under these addresses, or is being written."""
+        """Delete all entries but those at these addresses or being written."""
         names = self._files().keys() - set(addresses)
         self._delete(name for name in names if not name.endswith(_PART))
 
@@ -298,14 +297,14 @@ class WorkStore:
         return by_name
 
     def address_of(self, what: str, inputs: object) -> str:
-        """Where finished work of these inputs is kept."""
+        """Address of finished work with these inputs."""
         return address([what, self.code, inputs])
 
 
 NOTHING_KEPT = WorkStore(code="")
-"""For work that is not worth keeping, or has no folder to be kept in."""
+"""A store for work that is not worth keeping, or has no folder."""
 
 
 def _head(key: str, content: bytes) -> bytes:
-    """First line of an entry: shows damage, and that it is of another address."""
+    """First line of an entry; reveals damage and a wrong address."""
     return hashlib.sha256(key.encode() + content).hexdigest().encode()

@@ -1,10 +1,10 @@
-"""The estimate of one recording: its optimum, its noise, and how far the one scatters by the other.
+"""The point estimate of one recording: optimum, noise, and the covariance of the optimum.
 
-The optimum is least squares whatever the noise, so its covariance is not the inverse curvature but
-V = H⁻¹ JᵀΣJ H⁻¹ with Σ the covariance of the noise, J = ∂h/∂θ and H half the second derivative of
-the sum of squares (White 1982). As the waveform is not exact, the residual is not small and H is
-JᵀJ − Σ r ∂²h: with JᵀJ alone the width of A comes out 4 to 20 % too small on bench recordings, that
-of ω 25 to 40 %. Where impacts scatter by more than that noise, V is larger by as much
+The optimum is least squares whatever the noise. Its covariance is therefore not the inverse
+curvature but V = H⁻¹ JᵀΣJ H⁻¹, with noise covariance Σ, J = ∂h/∂θ, and H half the second derivative
+of the sum of squares (White 1982). The waveform is not exact, so the residual is not small and H is
+JᵀJ − Σ r ∂²h. With JᵀJ alone, the width of A comes out 4 to 20 % too small on bench recordings,
+that of ω 25 to 40 %. If impacts scatter by more than that noise, V is larger accordingly
 (:mod:`bayesbl.noise.impact_scatter`).
 """
 
@@ -39,15 +39,15 @@ from bayesbl.ringing.waveform import impacts, jacobian, jacobian_columns, misfit
 from bayesbl.sampling.convergence import Contender
 
 FACTORS = 400
-"""Likely values of the variance's factor that are kept."""
+"""Equally likely values of the variance factor that are kept."""
 
 SAFE_SHARE = 0.2
-"""Least eigenvalue of H, as a share of that of JᵀJ, below which JᵀJ replaces it."""
+"""Least ratio of the smallest eigenvalues of H and JᵀJ; below it, JᵀJ replaces H."""
 
 
 @dataclass(frozen=True, slots=True)
 class Covariance:
-    """Scatter of the optimum, columns named as by :func:`jacobian_columns` (A first).
+    """Covariance of the optimum, columns named as by :func:`jacobian_columns` (A first).
 
     Attributes
     ----------
@@ -56,13 +56,14 @@ class Covariance:
     sandwich
         V, shape (p, p).
     inverse_curvature
-        H⁻¹, shape (p, p), before any noise variance is applied.
+        H⁻¹, shape (p, p), without any noise variance.
     factors
-        Of V, mean 1, as likely each, shape (k,): how far impacts scatter is known from few.
+        Equally likely factors of V, mean 1, shape (k,). They scatter because the variance between
+        impacts is estimated from few of them.
     losses
-        Share of A that impacts which come early and late take, one for each factor, shape (k,).
+        Share of A lost because impacts come early or late, one for each factor, shape (k,).
     impact_sd_rpm
-        Standard deviation of the amplitude from impact to impact, beyond noise; the same.
+        Standard deviation of the amplitude between impacts, beyond noise, shape (k,).
     """
 
     names: tuple[str, ...]
@@ -79,16 +80,16 @@ class Covariance:
 
     @property
     def standard_deviations(self) -> dict[str, float]:
-        """By name, in the symbol's own unit."""
+        """Standard deviations by name, in the symbols' own units."""
         return dict(zip(self.names, np.sqrt(np.diag(self.sandwich)).tolist(), strict=True))
 
     @property
     def calibration(self) -> FloatArray:
         """Lower triangular C that turns scatter κH⁻¹ into V, shape (p, p).
 
-        Draws from exp(−SSE / 2κ) have the right width for A but not for the other symbols; C,
-        from Cholesky factors with A first, corrects those and leaves A as it is (the open-faced
-        sandwich of Shaby 2014).
+        Draws from exp(−SSE / 2κ) have the right width for A but not for the other symbols. C, from
+        Cholesky factors with A first, corrects those and leaves A as it is (the open-faced sandwich
+        of Shaby 2014).
         """
         source = np.linalg.cholesky(self.scale * self.inverse_curvature)
         return np.asarray(np.linalg.cholesky(self.sandwich) @ np.linalg.inv(source))
@@ -99,7 +100,7 @@ def covariance(
 ) -> Covariance:
     """Sandwich covariance of an optimum under autoregressive noise.
 
-    Where the residual makes H indefinite, as with pulses close to the noise, JᵀJ replaces it.
+    If the residual makes H indefinite (pulses hardly above the noise), JᵀJ replaces it.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ def covariance(
     """
     names = jacobian_columns(optimum.model)
     columns = jacobian(optimum.model, time_s, optimum.symbols, optimum.baseline_rpm)
-    # An excluded sample keeps its place, so that lags stay right, and has no weight.
+    # Keep excluded samples at zero weight, so that lags stay right.
     left_out = np.isnan(residual_rpm)
     columns[left_out] = 0.0
     norms = np.sqrt((columns**2).sum(axis=0))
@@ -126,33 +127,33 @@ def covariance(
             found="free: " + ", ".join(optimum.model.free),
             expected="more rotations, or fewer free symbols under [estimator.model]",
         )
-    known = np.where(left_out, 0.0, residual_rpm)
-    bent = misfit_curvature(optimum.model, time_s, optimum.symbols, known)
-    inverse = _inverse_curvature(gram, bent / np.outer(norms, norms))
+    residual = np.where(left_out, 0.0, residual_rpm)
+    residual_curvature = misfit_curvature(optimum.model, time_s, optimum.symbols, residual)
+    inverse = _inverse_curvature(gram, residual_curvature / np.outer(norms, norms))
     sandwich = inverse @ (columns.T @ noise.covariance_times(columns)) @ inverse
-    signs, inside = _by_impact(optimum, time_s)
+    signs, inside = _samples_of_impacts(optimum, time_s)
 
     def scores(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of the impacts, (g,), by a weight of each sample, and their covariance by the noise."""
-        own = weights * inside
-        beside_fit = own - columns @ (inverse @ (columns.T @ own))
-        return own.T @ known, beside_fit.T @ noise.covariance_times(beside_fit)
+        """Scores of the impacts, (g,), for a weight per sample, and their noise covariance."""
+        weighted = weights * inside
+        projected = weighted - columns @ (inverse @ (columns.T @ weighted))
+        return weighted.T @ residual, projected.T @ noise.covariance_times(projected)
 
     scatter = Scatter.of(*scores(columns @ inverse[:, :1]), signs)
     factors = scatter.likely(FACTORS)
     impact_sd_rpm = np.sqrt(signs.size * sandwich[0, 0] * (factors - 1.0)) / norms[0]
     losses = np.zeros(factors.size)
     if START in names and signs.size:
-        later = columns[:, [names.index(START)]]
-        power = norms[names.index(START)] * (later**2 * inside).sum(axis=0)
-        delays = scores(later / np.where(power > 0.0, power, np.inf))
-        # Waves out of step by s lose ω²s²/2.
-        losses = early_and_late(*delays, signs, factors)
+        start_derivative = columns[:, [names.index(START)]]
+        power = norms[names.index(START)] * (start_derivative**2 * inside).sum(axis=0)
+        delay_scores = scores(start_derivative / np.where(power > 0.0, power, np.inf))
+        # Averaging waves with time shifts s loses ω²s²/2 of the amplitude.
+        losses = early_and_late(*delay_scores, signs, factors)
         losses *= 0.5 * optimum.symbols[FREQUENCY] ** 2
     sandwich = factors.mean() * sandwich
     if noise.hidden_sd_rpm:
         turn = optimum.symbols[ROTATION] * (time_s.size - 1) / (time_s[-1] - time_s[0])
-        sandwich += inverse @ _of_repeating_rounding(columns, round(turn), noise) @ inverse
+        sandwich += inverse @ _repeating_rounding_scatter(columns, round(turn), noise) @ inverse
     rescale = 1.0 / np.outer(norms, norms)
     return Covariance(
         names,
@@ -164,22 +165,22 @@ def covariance(
     )
 
 
-def _by_impact(optimum: Optimum, time_s: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Signs of the whole impacts of a recording, (g,), and which samples are in each, (n, g)."""
+def _samples_of_impacts(optimum: Optimum, time_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Signs of the complete impacts of a recording, (g,), and the samples of each, (n, g)."""
     symbols = optimum.symbols
     period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
     reach = symbols[WINDOW_END] - symbols[WINDOW_START] + period_s
-    whole = [
+    complete = [
         (sign, start)
         for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], period_s)
         if time_s[0] <= start - period_s and start + reach <= time_s[-1]
     ]
-    signs, starts = np.array(whole).reshape(-1, 2).T
+    signs, starts = np.array(complete).reshape(-1, 2).T
     since = time_s[:, None] - starts
     return signs, (since >= -period_s) & (since <= reach)
 
 
-def _of_repeating_rounding(columns: FloatArray, lag: int, noise: Noise) -> FloatArray:
+def _repeating_rounding_scatter(columns: FloatArray, lag: int, noise: Noise) -> FloatArray:
     """JᵀΣJ of rounding that repeats every rotation: white, or the change of white rounding."""
     variance = noise.hidden_sd_rpm**2
     if noise.differentiated:
@@ -191,11 +192,11 @@ def _of_repeating_rounding(columns: FloatArray, lag: int, noise: Noise) -> Float
     return np.asarray(variance * folded.T @ folded)
 
 
-def _inverse_curvature(gram: FloatArray, bent: FloatArray) -> FloatArray:
-    """(JᵀJ − bent)⁻¹ where that is safely positive definite, else (JᵀJ)⁻¹."""
-    least = np.linalg.eigvalsh(gram - bent)[0]
-    safe = least > SAFE_SHARE * np.linalg.eigvalsh(gram)[0]
-    factor = cho_factor(gram - bent if safe else gram)
+def _inverse_curvature(gram: FloatArray, residual_curvature: FloatArray) -> FloatArray:
+    """(JᵀJ − r ∂²h)⁻¹ if that is safely positive definite, else (JᵀJ)⁻¹."""
+    smallest = np.linalg.eigvalsh(gram - residual_curvature)[0]
+    safe = smallest > SAFE_SHARE * np.linalg.eigvalsh(gram)[0]
+    factor = cho_factor(gram - residual_curvature if safe else gram)
     return np.asarray(cho_solve(factor, np.eye(len(gram))))
 
 
@@ -204,32 +205,33 @@ def _symmetric(matrix: FloatArray) -> FloatArray:
 
 
 LEAST_LEFT = 0.05
-"""Share of A that shaking leaves at least."""
+"""Least share of A that shaking may leave."""
 
 
 NO_RECORDING = Recording("", np.zeros(0), {})
 
 
-@dataclass(frozen=True)  # without slots, for what is made of it once
+@dataclass(frozen=True)  # no slots, because of the cached properties
 class PointEstimate:
-    """Optimum, noise and covariance of one recording: all but the sampling.
+    """Optimum, noise and covariance of one recording: everything but the sampling.
 
     Attributes
     ----------
     recording
-        As it was fitted. It is not kept with a finished fit: what was read is there already.
+        The recording as it was fitted. It is not stored with a finished fit, because it can be read
+        again.
     notes
         What the reader should know about how the optimum was found.
     start
-        What the search started from, in a sentence; empty for the full search alone.
+        A sentence on the start of the search; empty for the full search alone.
     contenders
-        Other optima weighed against this one; by their likelihood alone where ``None``.
+        Other optima weighted against this one; ``None`` to weight them by their likelihood alone.
     mended
-        The recording that was fitted, where it is not the one given: lines or drift were removed.
+        The recording that was fitted, if it differs from the given one (lines or drift removed).
     lines
-        Of the motor that were removed.
+        Lines of the motor that were removed.
     shaking
-        Lines in time that were removed.
+        Lines at fixed frequencies that were removed.
     """
 
     optimum: Optimum
@@ -253,20 +255,22 @@ class PointEstimate:
         """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
         return residual_of(self.objective, self.optimum)
 
-    def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
-        """Beside lines that were removed: A may be another by their RMS in the speed."""
-        if not by:
+    def shaken(self, outside_lines: tuple[OutsideLine, ...]) -> PointEstimate:
+        """Allow for removed outside lines: A may be wrong by their RMS in the speed."""
+        if not outside_lines:
             return self
-        rms_rpm = math.sqrt(0.5 * sum(line.size_rpm**2 for line in by))
-        size = rms_rpm / self.optimum.symbols[AMPLITUDE]
+        rms_rpm = math.sqrt(0.5 * sum(line.size_rpm**2 for line in outside_lines))
+        relative_rms = rms_rpm / self.optimum.symbols[AMPLITUDE]
         losses = self.spread.losses
-        moved = size * np.random.default_rng(0).permutation(normal_quantiles(losses.size))
-        losses = np.maximum(losses + moved, LEAST_LEFT - 1.0)
-        return replace(self, spread=replace(self.spread, losses=losses), shaking=by)
+        amplitude_errors = relative_rms * np.random.default_rng(0).permutation(
+            normal_quantiles(losses.size)
+        )
+        losses = np.maximum(losses + amplitude_errors, LEAST_LEFT - 1.0)
+        return replace(self, spread=replace(self.spread, losses=losses), shaking=outside_lines)
 
     @property
     def signal_to_noise(self) -> float:
-        """A / √V_AA: how many standard deviations the amplitude is above zero."""
+        """A / √V_AA: distance of the amplitude from zero in standard deviations."""
         return float(self.optimum.symbols[AMPLITUDE] / math.sqrt(self.spread.sandwich[0, 0]))
 
     @property
@@ -280,9 +284,8 @@ class PointEstimate:
     def ringing(self) -> tuple[FloatArray, FloatArray]:
         """Optimum of (A, ln ω, ln τ), shape (3,), and its covariance, shape (3, 3).
 
-        With what impacts lose that come early and late given back to A.
-
-        A fixed frequency or decay has zero variance.
+        A is corrected for the loss by early and late impacts. A fixed frequency or decay has zero
+        variance.
         """
         symbols, spread = self.optimum.symbols, self.spread
         values = (symbols[AMPLITUDE], symbols[FREQUENCY], symbols[DECAY])
@@ -290,9 +293,9 @@ class PointEstimate:
         scale = np.array([1.0, 1.0 / values[1], 1.0 / values[2]])
         covariance = np.zeros((3, 3))
         names = (AMPLITUDE, FREQUENCY, DECAY)
-        free = [i for i, name in enumerate(names) if name in spread.names]
-        places = [spread.names.index(names[i]) for i in free]
-        covariance[np.ix_(free, free)] = spread.sandwich[np.ix_(places, places)]
+        kept = [i for i, name in enumerate(names) if name in spread.names]
+        columns = [spread.names.index(names[i]) for i in kept]
+        covariance[np.ix_(kept, kept)] = spread.sandwich[np.ix_(columns, columns)]
         covariance *= np.outer(scale, scale)
         covariance[0, 0] += float(np.var(centre[0] * spread.losses))
         centre[0] *= 1.0 + float(spread.losses.mean())
@@ -300,7 +303,7 @@ class PointEstimate:
 
 
 def objective_of(model: DisturbanceModel, recording: Recording) -> Objective:
-    """Sum of squares between a recording and a model, without excluded samples."""
+    """Sum of squares between a recording and a model, excluded samples left out."""
     return Objective(
         model, recording.time_s, recording.motor_speed_rpm, excluded=recording.excluded
     )
@@ -334,7 +337,7 @@ class RepeatingMisfit:
 
     @property
     def rms_rpm(self) -> float:
-        """RMS of what repeats, without the noise that survives averaging, rpm."""
+        """RMS of the repeating part, without the noise that survives averaging, rpm."""
         excess = float(np.mean(self.mean_rpm**2 - self.standard_error_rpm**2))
         return math.sqrt(max(excess, 0.0))
 
@@ -343,24 +346,24 @@ class RepeatingMisfit:
     ) -> tuple[FloatArray, FloatArray]:
         """Average and standard error at times since the recording's start, shape (n,) each, rpm."""
         phase = 2.0 * np.pi / rotation_period_s * since_begin_s
-        turn = 2.0 * np.pi
-        mean = np.interp(phase, self.phase_rad, self.mean_rpm, period=turn)
-        return mean, np.interp(phase, self.phase_rad, self.standard_error_rpm, period=turn)
+        full_turn = 2.0 * np.pi
+        mean = np.interp(phase, self.phase_rad, self.mean_rpm, period=full_turn)
+        return mean, np.interp(phase, self.phase_rad, self.standard_error_rpm, period=full_turn)
 
 
 def repeating_misfit(
     time_s: FloatArray, residual_rpm: FloatArray, rotation_period_s: float
 ) -> RepeatingMisfit:
-    """Average the residual, NaN where left out, at equal load phase over the rotations.
+    """Average the residual (NaN where left out) at equal load phase over the rotations.
 
-    Within a rotation each bin is averaged first; the scatter between rotations, which are
-    independent but for noise slower than a rotation, gives the standard error.
+    Each bin is averaged within a rotation first. The standard error comes from the scatter between
+    rotations, which are independent but for noise slower than a rotation.
     """
     known = np.isfinite(residual_rpm)
-    turns = (time_s[known] - time_s[0]) / rotation_period_s
+    elapsed_rotations = (time_s[known] - time_s[0]) / rotation_period_s
     residual_rpm = residual_rpm[known]
-    rotation = np.floor(turns).astype(int)
-    bins = np.minimum((PHASE_BINS * (turns - rotation)).astype(int), PHASE_BINS - 1)
+    rotation = np.floor(elapsed_rotations).astype(int)
+    bins = np.minimum((PHASE_BINS * (elapsed_rotations - rotation)).astype(int), PHASE_BINS - 1)
     cell = rotation * PHASE_BINS + bins
     cells = (rotation[-1] + 1) * PHASE_BINS
     count = np.bincount(cell, minlength=cells).reshape(-1, PHASE_BINS)

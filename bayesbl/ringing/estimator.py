@@ -1,8 +1,8 @@
-"""The estimator: everything between a recording and the draws of A, as one object.
+"""The estimator: all steps from a recording to the draws of A, as one object.
 
-What A means is decided by the model, what is fixed in it, the window, the baseline, the sampling
-and the nominal speed; that part has a fingerprint, which a gap curve stores. How the optimum is
-searched and what the noise is assumed to be do not affect the meaning and are not part of it.
+The meaning of A is defined by the model, its fixed symbols, the window, the baseline, the sampling
+and the nominal speed. These have a fingerprint, which a gap curve stores. The search method and the
+noise model do not affect the meaning and are not part of it.
 """
 
 from __future__ import annotations
@@ -45,37 +45,34 @@ from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
 EVEN_TOLERANCE = 0.1
 """Largest distance of a time stamp from an even grid, in sampling periods, that counts as even.
-
-Time stamps rounded to a tenth of the period are as common as real jitter of that size is harmless:
-it moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz.
-"""
+Time stamps rounded to a tenth of the period are common, and real jitter of that size is harmless.
+It moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz."""
 
 HARMLESS_JITTER_S = 5e-4
-"""RMS distance σ from the grid up to which time stamps count as even, whatever it is in periods.
-
-It averages out as noise does; what stays is a ringing that is smaller by (ωσ)²/2, 0.05 % at 10 Hz.
-"""
+"""RMS distance σ from the grid up to which time stamps count as even, whatever the period. Such
+jitter averages out like noise, except that the ringing appears smaller by (ωσ)²/2, 0.05 % at 10
+Hz."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A point estimate with its posterior, and a second sampler's verdict on it, if asked for."""
+    """A point estimate with its posterior, and the check by a second sampler if requested."""
 
     point: PointEstimate
     posterior: Posterior
     check: SamplerCheck | None = None
 
     def of(self, recording: Recording, gear_ratio: float | None = None) -> Fit:
-        """The finished fit of a recording that was kept, with that recording as it was fitted."""
-        fitted = self.point.mended or even(
+        """Attach the recording, prepared as it was fitted, to a fit recalled from the store."""
+        prepared = self.point.mended or even(
             ready_for_fit(recording, gear_ratio), EVEN_TOLERANCE, HARMLESS_JITTER_S
         )
-        return replace(self, point=replace(self.point, recording=fitted))
+        return replace(self, point=replace(self.point, recording=prepared))
 
 
 @dataclass(frozen=True, slots=True)
 class Estimator:
-    """From a recording to the posterior of the disturbance model.
+    """Estimates the posterior of the disturbance model from a recording.
 
     Attributes
     ----------
@@ -96,13 +93,13 @@ class Estimator:
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
 
     def fingerprint(self, recording: Recording) -> str:
-        """What decides the meaning of A in this recording, as readable JSON."""
+        """All that defines the meaning of A in this recording, as readable JSON."""
         meaning: dict[str, Any] = {
             "waveform": "eq. 3, edges resolved to the sampling",
             "baseline_harmonics": self.model.baseline_harmonics,
             "fixed": dict(sorted(self.model.fixed.items())),
             "sampling_hz": float(f"{1.0 / recording.sampling_period_s:.3g}"),
-            # For the reader only: two digits may separate equal speeds.
+            # For the reader only: rounded to two digits, equal speeds may differ.
             "nominal_speed_rpm": float(f"{nominal_speed_rpm(recording):.2g}"),
         }
         if ranges := self.model.lasting_ranges:
@@ -116,15 +113,15 @@ class Estimator:
         gear_ratio: float | None = None,
         earlier: EarlierOptimum | None = None,
     ) -> PointEstimate:
-        """RMSE optimum with the noise's covariance around it.
+        """Find the RMSE optimum, with its covariance under the noise.
 
-        Lines of the motor and a drift of the speed are removed first where the recording shows
-        them; the notes say so.
+        Lines of the motor and a drift of the speed are removed first if the recording shows them.
+        The notes say so.
 
         Parameters
         ----------
         earlier
-            Optimum to start from; where it no longer fits, the full search is made.
+            Optimum to start from; if it no longer fits, the full search is made.
 
         Raises
         ------
@@ -132,28 +129,30 @@ class Estimator:
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
         ready = ready_for_fit(recording, gear_ratio)
-        stamped = even(ready, EVEN_TOLERANCE, HARMLESS_JITTER_S)
-        notes = [] if stamped.channels is ready.channels else [UNEVEN_STAMPS]
-        recording, lines = without_motor_lines(stamped)
+        evenly_sampled = even(ready, EVEN_TOLERANCE, HARMLESS_JITTER_S)
+        notes = [] if evenly_sampled.channels is ready.channels else [UNEVEN_STAMPS]
+        recording, lines = without_motor_lines(evenly_sampled)
         notes += [in_words(lines)] if lines else []
-        loop = {
+        loop_channels = {
             n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)
         }
-        turns_s = 60.0 * (gear_ratio or math.inf) / nominal_speed_rpm(recording)
-        loop, shaking = without_outside_lines(loop, recording.sampling_period_s, turns_s)
+        rotation_s = 60.0 * (gear_ratio or math.inf) / nominal_speed_rpm(recording)
+        loop_channels, shaking = without_outside_lines(
+            loop_channels, recording.sampling_period_s, rotation_s
+        )
         if shaking:
-            recording = replace(recording, channels={**recording.channels, **loop})
+            recording = replace(recording, channels={**recording.channels, **loop_channels})
             notes.append(outside_lines.in_words(shaking))
         point = self._optimal(recording, seed, gear_ratio, earlier)
-        # Rotations with the same rounding are the same.
+        # With repeating rounding, differences between rotations vanish and show no drift.
         if not point.noise.rounding_repeats:
-            steady = without_drift(point.recording, point.optimum, point.residual_rpm)
-            if steady is not None:
-                recording, note = steady
+            drift_removed = without_drift(point.recording, point.optimum, point.residual_rpm)
+            if drift_removed is not None:
+                recording, note = drift_removed
                 point = self._optimal(recording, seed, gear_ratio, earlier)
                 notes.append(note)
-        mended = point.recording if notes else None
-        point = replace(point, notes=tuple(notes), mended=mended, lines=lines)
+        fitted = point.recording if notes else None
+        point = replace(point, notes=tuple(notes), mended=fitted, lines=lines)
         return point.shaken(shaking)
 
     def _optimal(
@@ -168,7 +167,7 @@ class Estimator:
         start = ""
         if earlier is not None:
             try:
-                point = self._warm(recording, objective, earlier)
+                point = self._warm_start(recording, objective, earlier)
                 return replace(point, start=f"The search started from {earlier.told}.")
             except NoLongerFits as reason:
                 start = (
@@ -181,15 +180,15 @@ class Estimator:
                 require_rotations(recording, recording.duration_s / optimum.symbols[ROTATION])
             point = self.around(recording, objective, optimum)
         except RecordingError as error:
-            require_no_drift(recording)  # the search mistakes one for part of a long rotation
+            require_no_drift(recording)  # a drift can look like part of a long rotation
             error.name_file(recording.place)
             raise
         return replace(point, start=start)
 
-    def _warm(
+    def _warm_start(
         self, recording: Recording, objective: Objective, earlier: EarlierOptimum
     ) -> PointEstimate:
-        """The optimum from an earlier one, if its ringing also stands out of the noise."""
+        """Start from an earlier optimum; the ringing must also stand out of the noise."""
         try:
             point = self.around(recording, objective, warm_optimum(objective, earlier))
         except RecordingError as error:
@@ -200,7 +199,7 @@ class Estimator:
         return point
 
     def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
-        """Noise and covariance around an optimum already found."""
+        """Estimate noise and covariance around a known optimum."""
         residual = residual_of(objective, optimum)
         noise = estimate_noise(
             residual,
@@ -214,11 +213,11 @@ class Estimator:
         return PointEstimate(optimum, noise, spread, recording)
 
     def at_rival(self, point: PointEstimate, rival: Rival) -> PointEstimate:
-        """A rival of the optimum in its place, of the recording as it was prepared for that."""
+        """The point estimate at a rival optimum, of the same prepared recording."""
         objective = point.objective
-        other = self.around(point.recording, objective, promoted(objective, point.optimum, rival))
-        moved = replace(point, optimum=other.optimum, noise=other.noise, spread=other.spread)
-        return moved.shaken(point.shaking)
+        new = self.around(point.recording, objective, promoted(objective, point.optimum, rival))
+        result = replace(point, optimum=new.optimum, noise=new.noise, spread=new.spread)
+        return result.shaken(point.shaking)
 
     def fit(
         self,
@@ -231,12 +230,12 @@ class Estimator:
         earlier: EarlierOptimum | None = None,
         check: bool = False,
     ) -> Fit:
-        """Optimum and posterior; one child seed for each.
+        """Find optimum and posterior, with one child seed for each.
 
         Parameters
         ----------
         choose
-            Picks among the optimum and its rivals; the optimum itself by default.
+            Chooses among the optimum and its rivals; by default the optimum itself.
         earlier
             Optimum to start from.
         check
@@ -252,10 +251,10 @@ class Estimator:
         if choose is not None:
             point = choose(point)
         posterior = sample_posterior(point, self.sampler, sample_seed, progress)
-        second = check_sampler(point, posterior, check_seed) if check else None
-        return Fit(point, posterior, second)
+        sampler_check = check_sampler(point, posterior, check_seed) if check else None
+        return Fit(point, posterior, sampler_check)
 
 
 def nominal_speed_rpm(recording: Recording) -> float:
-    """Mean motor speed without its sign, rpm."""
+    """Absolute value of the mean motor speed, rpm."""
     return abs(float(recording.motor_speed_rpm.mean()))

@@ -1,10 +1,10 @@
 """First guesses of the searched symbols, from the recording alone.
 
-Damped-sinusoid templates are correlated with the speed; each correlation is folded over every
-candidate rotation period; a period, a phase where impacts of one sign pile up and one where those
-of the other sign do make a guess. What the load-angle baseline explains at a period counts as well:
-under strong noise it determines T_w better than the pulses do. Nothing about T_w needs to be known
-beforehand.
+Damped-sinusoid templates are correlated with the speed, and each correlation is folded over every
+candidate rotation period. A guess is a period with one phase where impacts of one sign pile up and
+one where those of the other sign do. The power that the load-angle baseline explains at a period
+counts too: under strong noise it determines T_w better than the pulses do. No prior knowledge of
+T_w is needed.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def guesses(objective: Objective, count: int) -> FloatArray:
             PERIODOGRAM_PADDING * objective.duration_s,
             objective.model.baseline_harmonics,
         )
-        folds += [(gain, decay, frequency, *rest) for gain, *rest in folded]
+        folds += [(gain, decay, frequency, *fold_rest) for gain, *fold_rest in folded]
     if not folds:
         raise NoFlankChange(
             "Nothing in the motor's speed repeats with a rotation of the load: no impact shows.",
@@ -95,9 +95,7 @@ def guesses(objective: Objective, count: int) -> FloatArray:
 
 def _baseline_power(speed_rpm: FloatArray) -> FloatArray:
     """Drop in the sum of squares by one sinusoid, rpm², shape (f,): a zero-padded periodogram.
-
-    Frequencies are multiples of 1 / (PERIODOGRAM_PADDING · duration).
-    """
+    Frequencies are multiples of 1 / (PERIODOGRAM_PADDING · duration)."""
     n = speed_rpm.size
     spectrum = np.fft.rfft(speed_rpm, PERIODOGRAM_PADDING * n)
     return np.asarray(2.0 / n * np.abs(spectrum) ** 2)
@@ -121,7 +119,7 @@ def _templates(objective: Objective) -> list[tuple[float, float]]:
 def _response(
     speed_rpm: FloatArray, period_s: float, window_s: float, decay: float, frequency: float
 ) -> tuple[FloatArray, float]:
-    """Matched-filter response, thinned to the resolution its ringing needs, and its step in s."""
+    """Matched-filter response, decimated to the resolution of its ringing; its step in s."""
     u = np.arange(0.0, window_s, period_s)
     template = np.exp(-decay * u) * np.sin(frequency * u)
     slow = np.stack([np.ones_like(u), u - u.mean()])
@@ -143,12 +141,12 @@ def _add(total, row):  # type: ignore[no-untyped-def]
 @compiled(fastmath={"nnan", "nsz", "reassoc"})
 def _extremes(values):  # type: ignore[no-untyped-def]
     """Largest and smallest value, in a loop that vectorises (np.argmax does not)."""
-    most = values[0]
-    least = values[0]
+    largest = values[0]
+    smallest = values[0]
     for j in range(values.size):
-        most = max(most, values[j])
-        least = min(least, values[j])
-    return most, least
+        largest = max(largest, values[j])
+        smallest = min(smallest, values[j])
+    return largest, smallest
 
 
 @compiled()
@@ -157,9 +155,9 @@ def _fold_all(  # type: ignore[no-untyped-def]
 ):
     """Best folds of a response over all periods: (gain, period, positive and negative phase).
 
-    The gain is the drop in the sum of squares: (F₊ − F₋)² / number of pulses, for pulses of unit
-    norm at the two phases, and that of the baseline's harmonics. The phases are ``guard`` seconds
-    apart at least, so that one impact is not both.
+    The gain is the drop in the sum of squares. It is (F₊ − F₋)² / number of pulses, for pulses of
+    unit norm at the two phases, plus that of the baseline's harmonics. The phases are at least
+    ``guard`` seconds apart, so that one impact does not count as both.
     """
     n = response.size
     kept = 6
@@ -172,34 +170,34 @@ def _fold_all(  # type: ignore[no-untyped-def]
         if width >= n or width < 2 * spacing + 2:
             period += step
             continue
-        turns = int(n * step / period)
+        rotations = int(n * step / period)
         folded[:width] = 0.0
         pulses = 0
-        for turn in range(turns + 1):
-            begin = int(round(turn * period / step))
+        for rotation in range(rotations + 1):
+            begin = int(round(rotation * period / step))
             stop = min(width, n - begin)
-            if stop < width and turn > 1:
+            if stop < width and rotation > 1:
                 break
             _add(folded[:stop], response[begin : begin + stop])
             pulses += 1
         baseline = 0.0
         for k in range(1, harmonics + 1):
             baseline += power[int(round(k * power_length / period))]
-        most, least = _extremes(folded[:width])
-        if baseline + (most - least) ** 2 / (2.0 * pulses) <= np.min(best[:, 0]):
-            period += 2.0 * step / (turns + 1)
+        largest, smallest = _extremes(folded[:width])
+        if baseline + (largest - smallest) ** 2 / (2.0 * pulses) <= np.min(best[:, 0]):
+            period += 2.0 * step / (rotations + 1)
             continue
         high = int(np.argmax(folded[:width]))
         low = int(np.argmin(folded[:width]))
-        apart = abs(high - low)
-        if min(apart, width - apart) < spacing:
+        distance = abs(high - low)
+        if min(distance, width - distance) < spacing:
             # Keep the stronger of the two and find the other one away from it.
             keep_high = folded[high] > -folded[low]
             centre = high if keep_high else low
             value = np.inf
             for j in range(width):
-                away = abs(j - centre)
-                if min(away, width - away) >= spacing:
+                distance_j = abs(j - centre)
+                if min(distance_j, width - distance_j) >= spacing:
                     candidate = folded[j] if keep_high else -folded[j]
                     if candidate < value:
                         value = candidate
@@ -208,7 +206,7 @@ def _fold_all(  # type: ignore[no-untyped-def]
                         else:
                             high = j
         gain = baseline + (folded[high] - folded[low]) ** 2 / (2.0 * pulses)
-        # Neighbouring periods are one peak: a better one replaces it, another takes a new place.
+        # Neighbouring periods belong to one peak: keep the best of each peak.
         place = -1
         for k in range(kept):
             if best[k, 0] > 0.0 and abs(best[k, 1] - period) < 2.0 * step:
@@ -220,7 +218,7 @@ def _fold_all(  # type: ignore[no-untyped-def]
             best[place, 1] = period
             best[place, 2] = high * step
             best[place, 3] = low * step
-        period += 2.0 * step / (turns + 1)
+        period += 2.0 * step / (rotations + 1)
     return [(row[0], row[1], row[2], row[3]) for row in best if row[0] > 0.0]
 
 
@@ -233,7 +231,7 @@ def _neighbours(
     positive_s: float,
     negative_s: float,
 ) -> FloatArray:
-    """Points around one fold: either phase a half ringing off, periods and shapes nearby."""
+    """Points around one fold: phases shifted by up to half a ringing, periods and shapes nearby."""
     half = math.pi / frequency
     step = 2.0 * half / SAMPLES_PER_RINGING
     ranges = objective.model.ranges
@@ -261,21 +259,21 @@ Value = TypeVar("Value", float, FloatArray)
 def first_turn(
     model: DisturbanceModel, values: dict[str, Value], begin_s: float
 ) -> dict[str, Value]:
-    """t0 and T, where searched, moved by whole rotations to the start of their range.
+    """Shift t0 and T, if searched, by whole rotations to the start of their range.
 
-    Without one it is ``begin_s`` and 0.
+    Without a range, t0 starts at ``begin_s`` and T at 0.
     """
-    begins = {START: begin_s, SEPARATION: 0.0} | range_begins(model)
-    return turned(values, {n: begin for n, begin in begins.items() if n in model.searched})
+    begins = {START: begin_s, SEPARATION: 0.0} | range_starts(model)
+    return wrapped(values, {n: begin for n, begin in begins.items() if n in model.searched})
 
 
-def range_begins(model: DisturbanceModel) -> dict[str, float]:
-    """The start of the ranges of t0 and T, s, if they have one."""
+def range_starts(model: DisturbanceModel) -> dict[str, float]:
+    """Start of the ranges of t0 and T, s, where these have one."""
     return {name: model.ranges[name][0] for name in (START, SEPARATION) if name in model.ranges}
 
 
-def turned(values: dict[str, Value], begins: Mapping[str, float]) -> dict[str, Value]:
-    """Symbols moved by whole rotations into the one that starts at ``begins``, s."""
+def wrapped(values: dict[str, Value], begins: Mapping[str, float]) -> dict[str, Value]:
+    """Shift symbols by whole rotations into the rotation that starts at ``begins``, s."""
     rotation = values[ROTATION]
     return values | {n: begin + (values[n] - begin) % rotation for n, begin in begins.items()}
 
@@ -283,24 +281,24 @@ def turned(values: dict[str, Value], begins: Mapping[str, float]) -> dict[str, V
 def _distinct(objective: Objective, points: FloatArray, count: int) -> FloatArray:
     """The first ``count`` points of which no two are close in phase."""
     kept: list[FloatArray] = []
-    named: list[dict[str, float]] = []
+    kept_symbols: list[dict[str, float]] = []
     for point in points:
         value = objective.model.named(point)
         quarter, rotation = 0.5 * math.pi / value[FREQUENCY], value[ROTATION]
         if not any(
             abs(other[ROTATION] - rotation) * objective.duration_s < quarter * rotation
-            and apart_s(value, other) < quarter
-            for other in named
+            and phase_distance_s(value, other) < quarter
+            for other in kept_symbols
         ):
             kept.append(point)
-            named.append(value)
+            kept_symbols.append(value)
         if len(kept) == count:
             break
     return np.array(kept)
 
 
-def apart_s(a: Mapping[str, float], b: Mapping[str, float]) -> float:
-    """By how much t0 and T differ at most, whatever the rotation, s."""
+def phase_distance_s(a: Mapping[str, float], b: Mapping[str, float]) -> float:
+    """Largest difference of t0 and T modulo the rotation, s."""
     rotation = a[ROTATION]
     differences = [(a[n] - b[n]) % rotation for n in (START, SEPARATION)]
     return max(min(d, rotation - d) for d in differences)

@@ -1,4 +1,4 @@
-"""Sum of squares between a recording and the disturbance model, for many parameters at once."""
+"""Sum of squares between a recording and the disturbance model, vectorised over parameters."""
 
 from __future__ import annotations
 
@@ -26,10 +26,8 @@ from bayesbl.ringing.symbols import (
 )
 
 FURTHEST_START = 1e-3 / float(np.finfo(np.float64).eps)
-"""Largest distance of the first impact from time zero, in sampling periods.
-
-Beyond it the rounding of a time exceeds a thousandth of a sample, and pulses have no place.
-"""
+"""Largest distance of the first impact from time zero, in sampling periods. Beyond it, times are
+rounded by more than a thousandth of a sample, so pulses cannot be placed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,8 @@ class LinearSolution:
         Shape (m, c): v_t, then cos and sin of each harmonic, then A; rpm. Fixed ones hold their
         value.
     factor
-        Lower Cholesky factor of XᵀX, shape (m, c, c), zero in rows and columns not solved for.
+        Lower Cholesky factor of XᵀX, shape (m, c, c), zero in rows and columns of fixed
+        coefficients.
     """
 
     sum_of_squares: FloatArray
@@ -53,7 +52,7 @@ class LinearSolution:
 
 
 def kernel_parameters(values: Mapping[str, float | FloatArray]) -> FloatArray:
-    """Symbols by name, of one shape (…) or one for all, as columns of the kernel, (…, 8)."""
+    """Stack named symbols (one shape or scalar each) as columns of the kernel, (…, 8)."""
     columns = {
         kernel.AMPLITUDE: values[AMPLITUDE],
         kernel.FIRST_IMPACT: values[START] + values[WINDOW_START],
@@ -68,7 +67,7 @@ def kernel_parameters(values: Mapping[str, float | FloatArray]) -> FloatArray:
 
 
 SHORTEST_ROTATION_S = 0.2
-"""No rotation period below this is evaluated: the sum of squares is infinite there."""
+"""Shortest rotation period; below it the sum of squares is infinite."""
 
 
 class Objective:
@@ -100,7 +99,7 @@ class Objective:
         self._left_out = np.flatnonzero(~self.used)
         self.offset_rpm = float(self.speed_rpm[self.used].mean())
         self._y = self.speed_rpm - self.offset_rpm
-        # The kernel assumes Σ y = 0, and one subtraction leaves the rounding of n large numbers.
+        # The kernel assumes Σ y = 0; a single subtraction leaves the rounding of n large numbers.
         self._y -= self._y[self.used].mean()
         self._y[self._left_out] = 0.0
         self._y_square = float(self._y @ self._y)
@@ -111,8 +110,8 @@ class Objective:
         self._table = kernel.harmonic_table(self._y, min(rows, length // 2))
         self._left_out_table = np.empty((0, 2))
         if self._left_out.size:
-            there = (~self.used).astype(np.float64)
-            self._left_out_table = kernel.harmonic_table(there, min(2 * rows, length // 2))
+            is_left_out = (~self.used).astype(np.float64)
+            self._left_out_table = kernel.harmonic_table(is_left_out, min(2 * rows, length // 2))
         self._table_length = length
 
     @property
@@ -122,7 +121,7 @@ class Objective:
 
     @property
     def samples_used(self) -> int:
-        """Number of samples that count: n without those excluded."""
+        """Number of samples that are not excluded."""
         return int(self.used.sum())
 
     @property
@@ -136,13 +135,13 @@ class Objective:
         return self.model.searched
 
     def holding(self, values: Mapping[str, float]) -> Objective:
-        """The same recording with some of the searched symbols held at these values."""
+        """The same recording with some searched symbols fixed at these values."""
         other = copy.copy(self)
         other.model = self.model.holding(values)
         return other
 
     def sum_of_squares(self, searched: FloatArray) -> FloatArray:
-        """Sum of squared residuals, free A, v_t and baseline solved exactly.
+        """Sum of squared residuals, with free A, v_t and baseline solved exactly.
 
         Parameters
         ----------
@@ -151,12 +150,12 @@ class Objective:
 
         Returns
         -------
-        Shape (m,), rpm²; infinite where the symbols make no waveform.
+        Shape (m,), rpm²; infinite where the symbols give no waveform.
         """
         return self._evaluate(self._matrix(searched), keep=False)[0]
 
     def sum_of_squares_and_volume(self, searched: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As :meth:`sum_of_squares`, with log|XᵀX| of the columns solved for, shape (m,)."""
+        """As :meth:`sum_of_squares`, with log|XᵀX| of the solved columns, shape (m,)."""
         return self._evaluate(self._matrix(searched), keep=False)[:2]
 
     def solve(self, searched: FloatArray) -> LinearSolution:
@@ -175,14 +174,14 @@ class Objective:
     def _matrix(self, searched: FloatArray) -> FloatArray:
         """Kernel columns from the searched symbols and the fixed ones."""
         rows = np.atleast_2d(np.asarray(searched, dtype=np.float64))
-        given = {AMPLITUDE: 0.0, MEAN: 0.0} | dict(self.model.fixed)
-        values = {n: np.full(len(rows), v) for n, v in given.items()}
+        constants = {AMPLITUDE: 0.0, MEAN: 0.0} | dict(self.model.fixed)
+        values = {n: np.full(len(rows), v) for n, v in constants.items()}
         values |= {n: rows[:, i] for i, n in enumerate(self.searched)}
         matrix = kernel_parameters(values)
         matrix[:, kernel.MEAN] -= self.offset_rpm
-        is_far = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
-        is_short = matrix[:, kernel.ROTATION] < SHORTEST_ROTATION_S
-        matrix[is_far | is_short, kernel.ROTATION] = np.nan
+        out_of_reach = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
+        too_short = matrix[:, kernel.ROTATION] < SHORTEST_ROTATION_S
+        matrix[out_of_reach | too_short, kernel.ROTATION] = np.nan
         return matrix
 
     def _evaluate(
@@ -190,8 +189,8 @@ class Objective:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         m, c = len(matrix), self._columns
         sse, volume = np.empty(m), np.empty(m)
-        kept = m if keep else 0
-        coefficients, factor = np.empty((kept, c)), np.empty((kept, c, c))
+        stored_rows = m if keep else 0
+        coefficients, factor = np.empty((stored_rows, c)), np.empty((stored_rows, c, c))
         output = (sse, volume, coefficients, factor)
         kernel.sums_of_squares(
             matrix,

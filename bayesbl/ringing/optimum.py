@@ -1,14 +1,14 @@
 """The RMSE optimum of the disturbance model by CMA-ES.
 
-Its search starts from what the recording itself suggests and solves A, v_t and the baseline
-exactly. The method ``paper`` searches eq. 6 from the middle of Table 2's ranges as well
-(:mod:`bayesbl.ringing.table_2`); what that ended at stands beside the optimum.
+The search starts from guesses taken from the recording and solves A, v_t and the baseline exactly.
+The method ``paper`` also searches eq. 6 from the middle of Table 2's ranges
+(:mod:`bayesbl.ringing.table_2`). Its result is stored beside the optimum.
 
-It may also start from the optimum of an earlier recording. The ringing of a joint keeps its shape
-from one recording to the next, but a recording may start anywhere in a rotation. So the old
-waveform is tried at every start time, with the rotation period scaled by the speed and some room in
-period and frequency. The best trial is refined, and so are its exchanged neighbours, as in the full
-search.
+The search may also start from the optimum of an earlier recording. The ringing of a joint keeps its
+shape from one recording to the next, but a recording may start anywhere in a rotation. The old
+waveform is therefore tried at every start time, with the rotation period scaled by the speed and
+some variation of period and frequency. The best trial is refined, and so are its exchanged
+neighbours, as in the full search.
 """
 
 from __future__ import annotations
@@ -23,7 +23,14 @@ import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.guess import apart_s, first_turn, guesses, range_begins, search_window, turned
+from bayesbl.ringing.guess import (
+    first_turn,
+    guesses,
+    phase_distance_s,
+    range_starts,
+    search_window,
+    wrapped,
+)
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.search import SearchHistory, minimise, refine
 from bayesbl.ringing.symbols import (
@@ -52,7 +59,7 @@ POPULATION = 20
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """Another local optimum that the search ended in."""
+    """Another local optimum in which the search ended."""
 
     symbols: dict[str, float]
     sum_of_squares: float
@@ -65,8 +72,8 @@ class Optimum:
     Attributes
     ----------
     symbols
-        All nine symbols by name: A > 0, 0 < T < T_w, the first positive pulse within one
-        rotation of the recording's start (as far as these are free).
+        All nine symbols by name: A > 0, 0 < T < T_w, the first positive pulse within one rotation
+        of the recording's start (as far as these are free).
     baseline_rpm
         cos and sin of each load-angle harmonic, shape (2k,), rpm.
     sum_of_squares
@@ -74,7 +81,7 @@ class Optimum:
     rivals
         Other local optima, best first.
     box_search
-        What the paper's search ended at, where it was asked for.
+        Result of the paper's search, if requested.
     """
 
     model: DisturbanceModel
@@ -91,7 +98,7 @@ class Optimum:
 
     @property
     def evaluations(self) -> int:
-        """Of the objective, by CMA-ES in all its runs."""
+        """Evaluations of the objective by CMA-ES in all its runs."""
         return int(sum(self.history.evaluations[self.history.ends]))
 
     @property
@@ -125,20 +132,20 @@ def find_optimum(
         If no values of the symbols explain anything: the speed has no ringing, or there are fewer
         samples than in a window.
     """
-    began = time.perf_counter()
+    started_s = time.perf_counter()
     ends, histories = _guess_search(objective, generator)
     box_search = None
     if method == "paper":
-        box_search, of_box = search_as_printed(objective, generator)
-        histories.append(of_box)
+        box_search, box_history = search_as_printed(objective, generator)
+        histories.append(box_history)
     optimum = settled(objective, ends, SearchHistory.of_runs(histories), method)
-    return replace(optimum, box_search=box_search, seconds=time.perf_counter() - began)
+    return replace(optimum, box_search=box_search, seconds=time.perf_counter() - started_s)
 
 
 def settled(
     objective: Objective, ends: FloatArray, history: SearchHistory, method: FoundBy
 ) -> Optimum:
-    """The best end point (of (m, d)) of a search in canonical form, the others as its rivals.
+    """Take the best end point (of (m, d)) of a search in canonical form, the others as its rivals.
 
     Raises
     ------
@@ -169,50 +176,50 @@ def settled(
 
 
 def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
-    """The point with its pulses exchanged and half a ringing earlier or later.
+    """Exchange the pulses of a point and shift them half a ringing earlier or later; shapes (d,).
 
-    Half a ringing off, a pulse resembles its own negative: these are the local optima that come
-    closest to the global one. Shapes (d,).
+    Half a ringing off, a pulse resembles its own negative. These local optima come closest to the
+    global one.
     """
     names = model.searched
     if not {START, SEPARATION} <= set(names):
         return []
     value = model.named(point)
     half = math.pi / value[FREQUENCY]
-    moved = []
+    neighbours = []
     for shift in (-half, half):
-        new = value | {
+        neighbour = value | {
             START: value[START] - value[SEPARATION] + shift,
             SEPARATION: -value[SEPARATION] % value[ROTATION],
         }
-        new = turned(new, range_begins(model))
-        moved.append(np.array([new[name] for name in names]))
-    return moved
+        neighbour = wrapped(neighbour, range_starts(model))
+        neighbours.append(np.array([neighbour[name] for name in names]))
+    return neighbours
 
 
 def promoted(objective: Objective, optimum: Optimum, rival: Rival) -> Optimum:
-    """The optimum replaced by a rival, and itself added to the rivals."""
+    """Replace the optimum by a rival, and add it to the rivals."""
     point = np.array([[rival.symbols[name] for name in objective.searched]])
     solution = objective.solve(point)
-    others = tuple(other for other in optimum.rivals if other is not rival)
+    other_rivals = tuple(other for other in optimum.rivals if other is not rival)
     return replace(
         optimum,
         symbols=rival.symbols,
         baseline_rpm=solution.coefficients[0, 1:-1],
         sum_of_squares=float(solution.sum_of_squares[0]),
-        rivals=(Rival(optimum.symbols, optimum.sum_of_squares), *others),
+        rivals=(Rival(optimum.symbols, optimum.sum_of_squares), *other_rivals),
     )
 
 
 def local_search(
     objective: Objective, start: FloatArray, generator: np.random.Generator
 ) -> tuple[FloatArray, SearchHistory]:
-    """CMA-ES from one point of the searched symbols, shape (d,); returns the end point."""
+    """Run CMA-ES from one point of the searched symbols, shape (d,); return the end point."""
     low, high = bounds(objective)
     return minimise(
         objective.sum_of_squares,
         np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low)),
-        _local_scale(objective, start),
+        _initial_steps(objective, start),
         (low, high),
         generator,
         population=POPULATION,
@@ -248,7 +255,7 @@ def _guess_search(
     return np.array(ends), [history for _, history in runs]
 
 
-def _local_scale(objective: Objective, start: FloatArray) -> FloatArray:
+def _initial_steps(objective: Objective, start: FloatArray) -> FloatArray:
     """Initial step of each searched symbol around a guess."""
     value = objective.model.named(start)
     eighth = 0.25 * math.pi / value[FREQUENCY]
@@ -265,11 +272,8 @@ def _local_scale(objective: Objective, start: FloatArray) -> FloatArray:
 
 
 def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
-    """The one of many equal solutions with A > 0, 0 < T < T_w and t0 in the first rotation.
-
-    If t0 or T has a range, the first T_w of that range counts instead; a form outside a range is
-    not used.
-    """
+    """The equivalent solution with A > 0, 0 < T < T_w and t0 in the first rotation. If t0 or T has
+    a range, the first T_w of that range counts instead. A form outside a range is not used."""
     names = objective.searched
     movable = {START, SEPARATION} <= set(names)
     value = objective.model.named(point)
@@ -280,14 +284,14 @@ def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
         forms.insert(0, value | {START: value[START] - separation, SEPARATION: -separation})
     ranges = {name: r for name, r in objective.model.ranges.items() if name in names}
     for form in forms:
-        placed = first_turn(objective.model, form, objective.time_s[0] - form[WINDOW_START])
-        if all(low <= placed[name] <= high for name, (low, high) in ranges.items()):
-            return np.array([placed[name] for name in names])
+        shifted = first_turn(objective.model, form, objective.time_s[0] - form[WINDOW_START])
+        if all(low <= shifted[name] <= high for name, (low, high) in ranges.items()):
+            return np.array([shifted[name] for name in names])
     return point
 
 
 def _rivals(objective: Objective, points: list[FloatArray], sse: FloatArray) -> tuple[Rival, ...]:
-    """Distinct ends of the search other than the optimum."""
+    """Distinct end points of the search other than the optimum."""
     rivals: list[Rival] = []
     accepted = [objective.solved(points[0])[0]]
     for point, value in zip(points[1:], sse[1:], strict=True):
@@ -299,9 +303,9 @@ def _rivals(objective: Objective, points: list[FloatArray], sse: FloatArray) -> 
 
 
 def _same(a: dict[str, float], b: dict[str, float]) -> bool:
-    """Whether two optima are the same ringing, to a quarter of its period."""
+    """Whether two optima are the same ringing, within a quarter of its period."""
     return (
-        apart_s(a, b) * a[FREQUENCY] < 0.5 * math.pi
+        phase_distance_s(a, b) * a[FREQUENCY] < 0.5 * math.pi
         and abs(b[ROTATION] / a[ROTATION] - 1.0) < 0.02
         and abs(math.log(b[FREQUENCY] / a[FREQUENCY])) < 0.2
     )
@@ -309,7 +313,7 @@ def _same(a: dict[str, float], b: dict[str, float]) -> bool:
 
 STEPS_PER_RINGING = 8.0
 PERIOD_STEPS = np.arange(-2.0, 3.0)
-"""Rotation periods tried, in quarters of a ringing of drift over the recording."""
+"""Trial rotation periods, in quarters of a ringing of drift over the recording."""
 FREQUENCY_FACTORS = np.array([0.9, 1.0, 1.1])
 
 LARGEST_SPEED_RATIO = 1.1
@@ -320,7 +324,7 @@ LARGEST_DECAY_RATIO = 2.0
 
 @dataclass(frozen=True, slots=True)
 class EarlierOptimum:
-    """What a search starts from.
+    """An earlier optimum from which a search starts.
 
     Attributes
     ----------
@@ -329,7 +333,7 @@ class EarlierOptimum:
     symbols
         All nine symbols by name.
     withheld
-        Whether its own answer was withheld; then it is no start.
+        Whether the earlier answer was withheld; then it cannot be a start.
     """
 
     told: str
@@ -339,21 +343,22 @@ class EarlierOptimum:
 
 
 class NoLongerFits(Exception):
-    """An earlier optimum cannot be the start; says why, as part of a sentence."""
+    """An earlier optimum cannot be the start; the message says why, as part of a sentence."""
 
 
 def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
-    """The optimum near the old one, whatever the phase of the gear at the recording's start.
+    """The optimum near the old one, whatever the phase of the load at the recording's start.
+
+    The full search takes half a second, so it is preferred in case of doubt.
 
     Raises
     ------
     NoLongerFits
         If the earlier answer was withheld, the speed differs, or the optimum cannot be the old one
         at a later date: its RMSE is more than 1.5 times the old one, its frequency moved by more
-        than a fifth, or its decay by more than a factor of two. The full search takes half a
-        second: in doubt, it is run.
+        than a fifth, or its decay by more than a factor of two.
     """
-    began = time.perf_counter()
+    started_s = time.perf_counter()
     old = earlier.symbols
     if earlier.withheld:
         raise NoLongerFits("its own answer was withheld")
@@ -362,24 +367,24 @@ def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
     sse = objective.sum_of_squares(folds)
     end = refine(objective, folds[int(np.argmin(sse))])
     ends = np.array([end, *(refine(objective, x) for x in exchanged(objective.model, end))])
-    reached = objective.sum_of_squares(ends)
-    rmse = np.sqrt(np.array([np.min(sse), np.min(reached)]) / objective.samples_used)
+    end_sse = objective.sum_of_squares(ends)
+    rmse = np.sqrt(np.array([np.min(sse), np.min(end_sse)]) / objective.samples_used)
     history = SearchHistory(np.zeros(2), np.array([1.0, float(len(folds))]), rmse)
-    if not np.any(np.isfinite(reached)):
+    if not np.any(np.isfinite(end_sse)):
         raise NoLongerFits("its pulses fit nowhere")
     optimum = settled(objective, ends, history, "warm")
     _require_near("rmse_rpm", optimum.rmse_rpm, earlier.rmse_rpm, LARGEST_RMSE_RATIO, "rpm", 0.0)
-    for name, most in ((FREQUENCY, LARGEST_FREQUENCY_RATIO), (DECAY, LARGEST_DECAY_RATIO)):
-        _require_near(name, optimum.symbols[name], old[name], most, SYMBOLS[name].unit)
-    return replace(optimum, seconds=time.perf_counter() - began)
+    for name, largest_ratio in ((FREQUENCY, LARGEST_FREQUENCY_RATIO), (DECAY, LARGEST_DECAY_RATIO)):
+        _require_near(name, optimum.symbols[name], old[name], largest_ratio, SYMBOLS[name].unit)
+    return replace(optimum, seconds=time.perf_counter() - started_s)
 
 
 def _require_near(
     name: str, new: float, old: float, most: float, unit: str, least: float | None = None
 ) -> None:
-    """A new value between old / ``most``, or ``least``, and old · ``most``."""
-    lowest = 1.0 / most if least is None else least
-    if not lowest <= new / old <= most:
+    """Require old · ``least`` (default 1 / ``most``) ≤ new ≤ old · ``most``."""
+    smallest_ratio = 1.0 / most if least is None else least
+    if not smallest_ratio <= new / old <= most:
         raise NoLongerFits(
             f"{name} is {new:.4g} {unit} where it was {old:.4g} {unit}, more than a factor of "
             f"{most:g} away"
@@ -389,7 +394,7 @@ def _require_near(
 def _folds(objective: Objective, old: Mapping[str, float]) -> FloatArray:
     """The old waveform at every phase, shape (m, d)."""
     ringing = 2.0 * math.pi / old[FREQUENCY]
-    # At constant gear ratio the period of the load goes with the inverse of the motor's speed.
+    # At constant gear ratio, the load's period is inversely proportional to the motor's speed.
     rotation = objective.model.fixed.get(ROTATION, old[ROTATION] * old[MEAN] / objective.offset_rpm)
     drift = 0.25 * ringing * rotation / objective.duration_s
     axes = {name: np.array([old[name]]) for name in objective.searched}

@@ -1,8 +1,8 @@
-"""Waveform and noise alone as a model of a recording: likelihood by rotation, draws, predictions.
+"""Model of a recording by waveform and noise alone: likelihood by rotation, draws, predictions.
 
-The noise is that of :mod:`bayesbl.noise.rotation_noise`. What repeats every rotation and the
-waveform lacks is not in this model, so comparisons of models see it. The answer's posterior is
-another one: it is centred on the least-squares optimum and as wide as that scatters
+The noise is that of :mod:`bayesbl.noise.rotation_noise`. The model does not contain the misfit that
+repeats every rotation, so model comparisons see it. The posterior of the answer is a different one.
+It is centred on the least-squares optimum and has the width of that optimum's scatter
 (:mod:`bayesbl.ringing.posterior`), so its draws do not belong to this likelihood.
 """
 
@@ -26,13 +26,13 @@ from bayesbl.ringing.waveform import jacobian, model_speed
 from bayesbl.sampling.importance import independent_draws
 
 PROPOSED = 1000
-"""Points of which draws are resampled: of nine symbols half of them count."""
+"""Proposed points to resample draws from: with nine symbols, half of them are effective."""
 
 
 def rotations_of(point: PointEstimate) -> NDArray[np.int64]:
-    """Number of the rotation that each sample lies in, shape (n,).
+    """Index of the rotation that each sample lies in, shape (n,).
 
-    A rest shorter than half a rotation belongs to the rotation before it.
+    A final part shorter than half a rotation belongs to the rotation before it.
     """
     time = point.objective.time_s
     turns = (time - time[0]) / point.optimum.symbols[ROTATION]
@@ -57,8 +57,8 @@ def log_likelihood(
     shape, rows = parameters.shape[:-1], parameters.reshape(-1, parameters.shape[-1])
     objective, noise = point.objective, point.noise
     coefficients = np.asarray(noise.coefficients, dtype=np.float64)
-    turn, baseline = point.optimum.symbols[ROTATION], baseline_rpm.reshape(len(rows), -1)
-    away = objective.time_s - 0.5 * (objective.time_s[0] + objective.time_s[-1])
+    rotation_s, baseline = point.optimum.symbols[ROTATION], baseline_rpm.reshape(len(rows), -1)
+    centred_time_s = objective.time_s - 0.5 * (objective.time_s[0] + objective.time_s[-1])
     orders = np.arange(1, baseline.shape[1] // 2 + 1)
     rotation = rotations_of(point)
     count = int(rotation[-1]) + 1
@@ -68,9 +68,9 @@ def log_likelihood(
         np.ascontiguousarray(baseline),
         objective.time_s,
         objective.period_s,
-        turn,
-        away,
-        np.exp(2j * math.pi / turn * np.outer(orders, away)),
+        rotation_s,
+        centred_time_s,
+        np.exp(2j * math.pi / rotation_s * np.outer(orders, centred_time_s)),
         objective.speed_rpm,
         _known_innovations(objective.used, coefficients.size),
         np.searchsorted(rotation, np.arange(count + 1)),
@@ -92,27 +92,28 @@ def likelihood_draws(
 ) -> tuple[dict[str, FloatArray], FloatArray] | None:
     """Draws of prior times likelihood: free symbols by name, (count,), and baseline, (count, 2k).
 
-    The first proposal is the normal distribution about one Gauss-Newton step from the optimum.
+    The first proposal is a normal distribution around one Gauss-Newton step from the optimum.
 
     Parameters
     ----------
     log_prior
-        Of the amplitude in rpm, shape (m,) to (m,); flat in all else within its range.
+        Log prior of the amplitude in rpm, shape (m,) to (m,). The prior is flat in all other
+        symbols within their ranges.
 
     Returns
     -------
-    ``None`` where the posterior is too far from a normal distribution.
+    ``None`` if the posterior is too far from a normal distribution.
     """
     objective, optimum, names = point.objective, point.optimum, point.spread.names
     columns = jacobian(optimum.model, objective.time_s, optimum.symbols, optimum.baseline_rpm)
-    white = _whitened(point, np.column_stack([columns, np.nan_to_num(point.residual_rpm)]))
-    curvature = white[:, :-1].T @ white[:, :-1]
+    whitened = _whitened(point, np.column_stack([columns, np.nan_to_num(point.residual_rpm)]))
+    curvature = whitened[:, :-1].T @ whitened[:, :-1]
     covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
     symbols = [name for name in names if name in SYMBOLS]
     centre = np.r_[[optimum.symbols[name] for name in symbols], optimum.baseline_rpm]
     low, high = np.full(centre.size, -np.inf), np.full(centre.size, np.inf)
-    places = [symbols.index(name) for name in objective.searched]
-    low[places], high[places] = bounds(objective)
+    searched_columns = [symbols.index(name) for name in objective.searched]
+    low[searched_columns], high[searched_columns] = bounds(objective)
 
     def named(points: FloatArray) -> tuple[dict[str, FloatArray], FloatArray]:
         return dict(zip(symbols, points.T, strict=False)), points[:, len(symbols) :]
@@ -121,31 +122,31 @@ def likelihood_draws(
         prior = log_prior(points[:, symbols.index(AMPLITUDE)])
         return np.asarray(log_likelihood(point, *named(points)).sum(axis=1) + prior)
 
-    peak = centre + covariance @ (white[:, :-1].T @ white[:, -1])
+    peak = centre + covariance @ (whitened[:, :-1].T @ whitened[:, -1])
     peak = np.clip(peak, low, high)
     sample = independent_draws(density, peak, covariance, (low, high), count, generator, PROPOSED)
     return None if sample is None else named(sample[0])
 
 
 def _whitened(point: PointEstimate, columns: FloatArray) -> FloatArray:
-    """Innovations of columns (n, p) over their standard deviation; 0 where a sample is missing."""
+    """Whitened columns (n, p): innovations over their standard deviation; 0 at missing samples."""
     noise, used = point.noise, point.objective.used
     if noise.differentiated:
         columns = np.cumsum(np.where(used[:, None], columns - columns[used].mean(axis=0), 0.0), 0)
     order = noise.order
-    new = np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
-    return new / innovation_sd(noise) * _known_innovations(used, order)[order:, None]
+    e = np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
+    return e / innovation_sd(noise) * _known_innovations(used, order)[order:, None]
 
 
 def _known_innovations(used: BoolArray, order: int) -> FloatArray:
-    """1 where a sample and the ``order`` before it are all there, else 0, shape (n,)."""
+    """1 where a sample and the ``order`` before it are all present, else 0, shape (n,)."""
     missing = np.convolve(~used, np.ones(order + 1), "full")[: used.size]
     missing[:order] = 1.0
     return np.asarray(missing < 0.5, dtype=np.float64)
 
 
 def innovation_sd(noise: Noise) -> float:
-    """Standard deviation of what is new in each sample, rpm."""
+    """Standard deviation of the innovation of each sample, rpm."""
     variance = noise.sd_rpm**2 * innovation_share(noise.coefficients)
     if noise.differentiated:
         variance /= _variance_of_change(noise)
@@ -153,7 +154,7 @@ def innovation_sd(noise: Noise) -> float:
 
 
 def _variance_of_change(noise: Noise) -> float:
-    """Of an autoregressive process from sample to sample, over its own."""
+    """Variance of the change of an autoregressive process over the variance of the process."""
     return 2.0 * (1.0 - float(autocorrelation(noise.coefficients, 2)[1]))
 
 
@@ -163,7 +164,7 @@ def predicted(
     baseline_rpm: FloatArray,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """New recordings of the speed, one a draw, with noise of their own, shape (m, n), rpm.
+    """Simulated recordings of the speed, one per draw, each with new noise, shape (m, n), rpm.
 
     Parameters
     ----------
@@ -174,8 +175,8 @@ def predicted(
     """
     objective = point.objective
     rows = []
-    for number, baseline in enumerate(baseline_rpm):
-        symbols = {**point.optimum.symbols, **{n: float(v[number]) for n, v in draws.items()}}
+    for k, baseline in enumerate(baseline_rpm):
+        symbols = {**point.optimum.symbols, **{n: float(v[k]) for n, v in draws.items()}}
         model = model_speed(objective.time_s, symbols, baseline)
         rows.append(model + _drawn(point.noise, model.size, generator))
     return np.array(rows)
@@ -191,17 +192,17 @@ def _drawn(noise: Noise, size: int, generator: np.random.Generator) -> FloatArra
 
 @compiled(fastmath={"reassoc", "contract"})
 def _log_densities(  # type: ignore[no-untyped-def]
-    rows, baselines, time, period, nominal_turn, away, waves, speed, counts, rotation,
+    rows, baselines, time, period, nominal_turn, centred_time, waves, speed, counts, rotation,
     coefficients, differentiated, used, sd, freedom, densities,
 ):  # fmt: skip
-    """Adds to ``densities`` (m, rotation) the log densities of innovations, draw by draw.
+    """Add to ``densities`` (m, rotation) the log densities of innovations, draw by draw.
 
-    ``waves`` of the load angle, (harmonic, n), are those of ``nominal_turn``, with three terms in
-    the change of their rate: draws of T_w differ by some 1e-5 of it. ``counts`` is 1 where an
-    innovation is known.
+    ``waves`` of the load angle, (harmonic, n), are those at ``nominal_turn``. They are corrected by
+    a series of three terms in the change of their rate, because draws of T_w differ by some 1e-5 of
+    it. ``counts`` is 1 where an innovation is known.
     """
     n, order, harmonics = time.size, coefficients.size, baselines.shape[1] // 2
-    rest, e = np.empty(n), np.empty(n)
+    residual, e = np.empty(n), np.empty(n)
     if freedom > 0.0:
         scale = sd * math.sqrt((freedom - 2.0) / freedom)
         constant = (
@@ -217,15 +218,17 @@ def _log_densities(  # type: ignore[no-untyped-def]
         amplitude, first, decay, frequency = rows[m, 0], rows[m, 1], rows[m, 2], rows[m, 3]
         mean, window, separation, turn = rows[m, 4], rows[m, 5], rows[m, 6], rows[m, 7]
         for i in range(n):
-            rest[i] = speed[i] - mean
+            residual[i] = speed[i] - mean
         for k in range(harmonics):
             c, s = baselines[m, 2 * k], baselines[m, 2 * k + 1]
-            more = 2.0 * math.pi * (k + 1) * (1.0 / turn - 1.0 / nominal_turn)
+            rate_change = 2.0 * math.pi * (k + 1) * (1.0 / turn - 1.0 / nominal_turn)
             for i in range(n):
-                x = more * away[i]
-                even, odd = 1.0 - 0.5 * x * x, x * (1.0 - x * x / 6.0)
-                co, si = waves[k, i].real, waves[k, i].imag
-                rest[i] -= c * (co * even - si * odd) + s * (si * even + co * odd)
+                x = rate_change * centred_time[i]
+                cos_shift, sin_shift = 1.0 - 0.5 * x * x, x * (1.0 - x * x / 6.0)
+                cosine, sine = waves[k, i].real, waves[k, i].imag
+                residual[i] -= c * (cosine * cos_shift - sine * sin_shift) + s * (
+                    sine * cos_shift + cosine * sin_shift
+                )
         for side in range(2):
             sign = 1.0 if side == 0 else -1.0
             origin = first if side == 0 else first - separation
@@ -239,27 +242,27 @@ def _log_densities(  # type: ignore[no-untyped-def]
                     since = time[i] - start
                     u = max(since, 0.0)
                     ramp = min(max((window - since) / period + 0.5, 0.0), 1.0)
-                    near = max(1.0 - abs(since) / period, 0.0)
+                    corner = max(1.0 - abs(since) / period, 0.0)
                     wave = ramp * math.exp(-decay * u) * math.sin(frequency * u)
-                    wave += frequency * period * near * near * near / 6.0
-                    rest[i] -= sign * amplitude * wave
+                    wave += frequency * period * corner * corner * corner / 6.0
+                    residual[i] -= sign * amplitude * wave
         if differentiated:
             centre, number = 0.0, 0
             for i in range(n):
                 if used[i]:
-                    centre += rest[i]
+                    centre += residual[i]
                     number += 1
             centre /= max(number, 1)
             total = 0.0
             for i in range(n):
-                total += rest[i] - centre if used[i] else 0.0
-                rest[i] = total
+                total += residual[i] - centre if used[i] else 0.0
+                residual[i] = total
         for i in range(n):
-            e[i] = rest[i]
+            e[i] = residual[i]
         for k in range(order):
             phi = coefficients[k]
             for i in range(order, n):
-                e[i] -= phi * rest[i - 1 - k]
+                e[i] -= phi * residual[i - 1 - k]
         for r in range(densities.shape[1]):
             total, known, product = 0.0, 0.0, 1.0
             for i in range(rotation[r], rotation[r + 1]):

@@ -1,16 +1,15 @@
 """The posterior of the disturbance model around its RMSE optimum, by emcee.
 
-The likelihood is exp(−SSE(θ) / 2κ): centred on the least-squares optimum, which is what the gap
-curve means by A, and as wide as the recording's own noise and impacts make it (docs/design.md,
-"Statistics"). What impacts lose that come early and late is given back to A.
-Priors are flat in every symbol within its range. emcee walks over the symbols that enter
-nonlinearly; A, v_t and the baseline are linear, integrated out exactly and drawn afterwards.
+The likelihood is exp(−SSE(θ) / 2κ). It is centred on the least-squares optimum, which is how the
+gap curve defines A, and its width is set by the recording's own noise and impacts (docs/design.md,
+"Statistics"). A is corrected for the loss by early and late impacts.
+Priors are flat in every symbol within its range. emcee samples the nonlinear symbols. A, v_t and
+the baseline are linear, so they are integrated out exactly and drawn afterwards.
 
-A second, independent sampler on the same posterior: nested sampling by dynesty.
-
-emcee starts at the optimum and sees what its walkers reach. Nested sampling closes in from a wide
-box around the optimum, and from one around every rival optimum that may matter; its evidence says
-how much of the posterior each holds. Where both agree, neither is likely to be wrong.
+A second, independent sampler of the same posterior is nested sampling by dynesty. emcee starts at
+the optimum and sees only what its walkers reach. Nested sampling contracts from a wide box around
+the optimum and around every rival optimum that may matter. Its evidence gives the share of the
+posterior in each. If both agree, neither is likely to be wrong.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ from bayesbl.sampling.chains import Ensembles, SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import Contender, Diagnostics
 
 DRAWS_FOR_EDGES = 2000
-"""Of each ensemble: with four the edge of a 90 % interval scatters by 0.023 standard deviations."""
+"""Draws per ensemble; with four of these, the edge of a 90 % interval scatters by 0.023 sd."""
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Draws of every free symbol.
+    """Posterior draws of every free symbol.
 
     Attributes
     ----------
@@ -48,7 +47,7 @@ class Posterior:
     baseline_rpm
         cos and sin of each load-angle harmonic, shape (chain, draw, 2k).
     log_likelihood
-        −SSE/2κ with the linear symbols at their best, shape (chain, draw).
+        −SSE/2κ maximised over the linear symbols, shape (chain, draw).
     """
 
     draws: dict[str, FloatArray]
@@ -58,7 +57,7 @@ class Posterior:
 
 
 class LogPosterior:
-    """log p(searched symbols | recording), A, v_t and the baseline integrated out."""
+    """log p(searched symbols | recording), with A, v_t and the baseline integrated out."""
 
     def __init__(self, objective: Objective, optimum: Optimum, scale: float) -> None:
         self._objective = objective
@@ -68,7 +67,7 @@ class LogPosterior:
         self._least = optimum.sum_of_squares
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """Shape (m, d) to (m,), up to a constant; −inf outside the ranges."""
+        """Log posterior up to a constant, shape (m, d) to (m,); −inf outside the ranges."""
         sse, volume = self._objective.sum_of_squares_and_volume(points)
         value = -0.5 * ((sse - self._least) / self._scale + volume)
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
@@ -81,7 +80,7 @@ def sample_posterior(
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
 ) -> Posterior:
-    """Sample until converged or ``settings.max_steps`` is reached.
+    """Sample until converged or until ``settings.max_steps`` is reached.
 
     Parameters
     ----------
@@ -116,30 +115,30 @@ def sample_posterior(
 
 
 def weighed_by_likelihood(target: LogPosterior, optimum: Optimum) -> tuple[Contender, ...]:
-    """The optimum's rivals, weighed by the height of the posterior there.
+    """Weight the optimum's rivals by the height of the posterior there.
 
-    The peaks are assumed to be equally wide; a rival outside the ranges has no weight.
+    All peaks are assumed to be equally wide. A rival outside the ranges has no weight.
     """
     if not optimum.rivals:
         return ()
     names = optimum.model.searched
     points = np.array([[r.symbols[name] for name in names] for r in optimum.rivals])
-    height, own = target(points), target(optimum.searched[None])[0]
+    height, optimum_height = target(points), target(optimum.searched[None])[0]
     odds = np.full(height.shape, -np.inf)
-    np.subtract(height, own, out=odds, where=np.isfinite(height))
+    np.subtract(height, optimum_height, out=odds, where=np.isfinite(height))
     return tuple(
         Contender(r.symbols[AMPLITUDE], float(o)) for r, o in zip(optimum.rivals, odds, strict=True)
     )
 
 
 def _other_answer(point: PointEstimate, target: LogPosterior) -> Contender | None:
-    """The likeliest contender whose amplitude differs from the optimum's."""
-    own, sd = point.optimum.symbols[AMPLITUDE], math.sqrt(point.spread.sandwich[0, 0])
+    """The most probable contender whose amplitude differs from the optimum's."""
+    amplitude_rpm, sd = point.optimum.symbols[AMPLITUDE], math.sqrt(point.spread.sandwich[0, 0])
     contenders = point.contenders
     if contenders is None:
         contenders = weighed_by_likelihood(target, point.optimum)
-    others = [c for c in contenders if abs(c.amplitude_rpm - own) > sd]
-    return max(others, key=lambda c: c.log_odds, default=None)
+    different = [c for c in contenders if abs(c.amplitude_rpm - amplitude_rpm) > sd]
+    return max(different, key=lambda c: c.log_odds, default=None)
 
 
 def _interval_edges(objective: Objective, chains: FloatArray, level: float) -> FloatArray:
@@ -152,19 +151,19 @@ def _interval_edges(objective: Objective, chains: FloatArray, level: float) -> F
 def complete(
     point: PointEstimate, points: FloatArray, generator: np.random.Generator
 ) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
-    """Draw the linear symbols given the searched ones, then calibrate every width to the noise.
+    """Draw the linear symbols given the searched ones, then calibrate all widths to the noise.
 
-    Draws that calibration carries beyond a symbol's range, where the prior is zero, are put at the
-    bound: for a symbol that the recording hardly determines, the map leads to decays that grow.
+    Calibration may move draws beyond a symbol's range, where the prior is zero. They are clipped to
+    the bound: for a symbol that is hardly determined, negative decay rates would result.
 
     Parameters
     ----------
     points
-        Of the searched symbols, shape (chain, draw, d).
+        Draws of the searched symbols, shape (chain, draw, d).
 
     Returns
     -------
-    Draws by name, baseline and log likelihood, as :class:`Posterior` holds them.
+    Draws by name, baseline and log likelihood, as in :class:`Posterior`.
     """
     objective, optimum, spread = point.objective, point.optimum, point.spread
     chains, count, d = points.shape
@@ -173,8 +172,8 @@ def complete(
     linear = solution.coefficients.copy()
     free_linear = np.flatnonzero(solution.factor[0].diagonal() > 0.0)
     factor = solution.factor[:, free_linear[:, None], free_linear]
-    white = math.sqrt(spread.scale) * generator.standard_normal((len(flat), free_linear.size, 1))
-    linear[:, free_linear] += np.linalg.solve(np.swapaxes(factor, 1, 2), white)[:, :, 0]
+    normal = math.sqrt(spread.scale) * generator.standard_normal((len(flat), free_linear.size, 1))
+    linear[:, free_linear] += np.linalg.solve(np.swapaxes(factor, 1, 2), normal)[:, :, 0]
 
     values = {name: flat[:, i] for i, name in enumerate(objective.searched)}
     values[AMPLITUDE], values[MEAN] = linear[:, -1], linear[:, 0]
@@ -182,12 +181,12 @@ def complete(
     symbols = [n for n in names if n in values]
     stacked = np.column_stack([*(values[n] for n in symbols), linear[:, 1:-1]])
     centre = np.r_[[optimum.symbols[n] for n in symbols], optimum.baseline_rpm]
-    case = generator.integers(spread.factors.size, size=len(flat))
-    wider = np.sqrt(spread.factors[case])
-    stacked = centre + wider[:, None] * ((stacked - centre) @ spread.calibration.T)
-    stacked[:, 0] *= 1.0 + spread.losses[case]
-    ranged = [symbols.index(n) for n in objective.searched]
-    stacked[:, ranged] = np.clip(stacked[:, ranged], *bounds(objective))
+    factor_index = generator.integers(spread.factors.size, size=len(flat))
+    width_factor = np.sqrt(spread.factors[factor_index])
+    stacked = centre + width_factor[:, None] * ((stacked - centre) @ spread.calibration.T)
+    stacked[:, 0] *= 1.0 + spread.losses[factor_index]
+    searched_columns = [symbols.index(n) for n in objective.searched]
+    stacked[:, searched_columns] = np.clip(stacked[:, searched_columns], *bounds(objective))
 
     shape = (chains, count)
     draws = {n: stacked[:, i].reshape(shape) for i, n in enumerate(symbols)}
@@ -197,10 +196,8 @@ def complete(
 
 
 def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
-    """By symbol, the share of draws within half a standard deviation of a bound of its range.
-
-    A posterior that ends before its bound has hardly any, one cut off at its peak a quarter.
-    """
+    """Share of draws within half a standard deviation of a bound of the range, by symbol. It is
+    near 0 if the posterior ends before the bound, and a quarter if it is cut off at its peak."""
     low, high = bounds(objective)
     near = 0.5 * points.std(axis=(0, 1))
     close = (points < low + near) | (points > high - near)
@@ -211,18 +208,18 @@ LIVE_POINTS = 400
 LAST_EVIDENCE = 0.1
 """ln of the share of the evidence that may be left unsampled."""
 HALF_WIDTH_SD = 12.0
-"""Of a box, in standard deviations of the symbols there."""
+"""Half width of a box, in local standard deviations of the symbols."""
 FAINTEST_LOG_ODDS = -7.0
-"""Rivals below this against the optimum hold less than a thousandth of the posterior."""
+"""Least log odds of a rival against the optimum; below, it holds under 0.1 % of the posterior."""
 
 LARGEST_DIFFERENCE_SD = 0.25
 LARGEST_WIDTH_RATIO = 1.25
-"""Beyond these the samplers disagree; by chance alone they differ by 0.1 sd and 5 % at most."""
+"""Beyond these the samplers disagree; by chance they differ by at most 0.1 sd and 5 %."""
 
 
 @dataclass(frozen=True, slots=True)
 class SamplerCheck:
-    """How far nested sampling and emcee are apart.
+    """Difference between nested sampling and emcee.
 
     Attributes
     ----------
@@ -237,7 +234,7 @@ class SamplerCheck:
 
     @property
     def differing(self) -> tuple[str, ...]:
-        """Symbols for which the two disagree."""
+        """Symbols for which the samplers disagree."""
         return tuple(
             name
             for name, ratio in self.width_ratio.items()
@@ -247,7 +244,7 @@ class SamplerCheck:
 
     @property
     def reason(self) -> str | None:
-        """Why the posterior cannot be trusted; ``None`` where the samplers agree."""
+        """Why the posterior cannot be trusted; ``None`` if the samplers agree."""
         if not self.differing:
             return None
         differences = ", ".join(
@@ -259,7 +256,7 @@ class SamplerCheck:
 
 
 def require_second_sampler() -> None:
-    """Raises :class:`ConfigError` naming the extra if dynesty is not installed."""
+    """Raise :class:`ConfigError`, which names the extra, if dynesty is not installed."""
     if importlib.util.find_spec("dynesty") is None:
         raise ConfigError(
             "The second sampler is not installed.",
@@ -274,7 +271,7 @@ def check_sampler(
 ) -> SamplerCheck:
     """Sample the posterior again by nested sampling, and compare.
 
-    Both sets of points go through the same drawing of the linear symbols and the same calibration.
+    For both sets of points, linear symbols are drawn and calibrated in the same way.
     """
     nested_seed, linear_seed = seed.spawn(2)
     points = _nested_over_modes(point, nested_seed)
@@ -291,8 +288,8 @@ def _nested_over_modes(point: PointEstimate, seed: np.random.SeedSequence) -> Fl
     """Equally weighted points over all modes, shape (n, d)."""
     objective, optimum, scale = point.objective, point.optimum, point.spread.scale
     target = LogPosterior(objective, optimum, scale)
-    weighed = zip(weighed_by_likelihood(target, optimum), optimum.rivals, strict=True)
-    rivals = [rival for contender, rival in weighed if contender.log_odds > FAINTEST_LOG_ODDS]
+    weighted = zip(weighed_by_likelihood(target, optimum), optimum.rivals, strict=True)
+    rivals = [rival for contender, rival in weighted if contender.log_odds > FAINTEST_LOG_ODDS]
     centres = [
         np.array([symbols[name] for name in objective.searched])
         for symbols in (optimum.symbols, *(rival.symbols for rival in rivals))
@@ -305,10 +302,10 @@ def _nested_over_modes(point: PointEstimate, seed: np.random.SeedSequence) -> Fl
     points, log_evidence = zip(*runs, strict=True)
     shares = np.exp(np.array(log_evidence) - max(log_evidence))
     generator = np.random.default_rng(mix_seed)
-    picked = generator.multinomial(len(points[0]), shares / shares.sum())
+    counts = generator.multinomial(len(points[0]), shares / shares.sum())
     mixed = [
-        generator.choice(own, n, replace=n > len(own))
-        for own, n in zip(points, picked, strict=True)
+        generator.choice(mode_points, n, replace=n > len(mode_points))
+        for mode_points, n in zip(points, counts, strict=True)
     ]
     return np.concatenate(mixed)
 
@@ -316,10 +313,8 @@ def _nested_over_modes(point: PointEstimate, seed: np.random.SeedSequence) -> Fl
 def _box(
     objective: Objective, target: LogPosterior, centre: FloatArray, scale: float
 ) -> tuple[FloatArray, FloatArray]:
-    """A box around a mode that no other mode's box overlaps.
-
-    Modes are a quarter of a ringing apart in t0 or T, at least.
-    """
+    """A box around a mode that overlaps no other mode's box. Modes are at least a quarter of a
+    ringing apart in t0 or T."""
     sd = np.sqrt(scale) * np.linalg.norm(scatter_root(objective, centre), axis=1)
     half = HALF_WIDTH_SD * sd
     frequency = objective.model.named(centre)[FREQUENCY]
@@ -332,10 +327,8 @@ def _box(
 def _nested(
     target: LogPosterior, low: FloatArray, high: FloatArray, seed: np.random.SeedSequence
 ) -> tuple[FloatArray, float]:
-    """Nested sampling of a box: equally weighted points, shape (n, d), and the log evidence.
-
-    The evidence is under a flat prior of density one.
-    """
+    """Nested sampling of a box: equally weighted points, shape (n, d), and the log evidence. The
+    evidence is that under a flat prior of density one."""
     from dynesty import NestedSampler
 
     run_seed, weight_seed = seed.spawn(2)

@@ -1,8 +1,8 @@
-"""Searches for the least sum of squares: CMA-ES over ranges, and a fast local one from close by.
+"""Minimise the sum of squares: CMA-ES over ranges, and a fast local search near an optimum.
 
-In the local search a quadratic is fitted to the sum of squares on a cloud of points whose shape is
-the Gauss-Newton covariance, its minimum becomes the new centre, the cloud shrinks. One kernel call
-evaluates a whole cloud, and the regression smooths over the kinks that the window's edges leave.
+The local search fits a quadratic to the sum of squares on a cloud of points whose shape is the
+Gauss-Newton covariance. The minimum becomes the new centre, and the cloud shrinks. One kernel call
+evaluates a whole cloud, and the regression smooths the kinks caused by the window's edges.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class SearchHistory:
     Attributes
     ----------
     run
-        Which start the iteration belongs to, shape (i,).
+        Index of the start that the iteration belongs to, shape (i,).
     evaluations
         Evaluations so far in that run, shape (i,).
     rmse_rpm
@@ -40,12 +40,12 @@ class SearchHistory:
 
     @property
     def ends(self) -> NDArray[np.intp]:
-        """The last row of each run."""
+        """Index of the last row of each run."""
         return np.flatnonzero(np.diff(self.run, append=np.inf))
 
     @classmethod
     def of_runs(cls, histories: Sequence[SearchHistory]) -> SearchHistory:
-        """Of several runs, numbered in their order."""
+        """Join the histories of several runs, numbered in their order."""
         runs = [np.full(h.run.size, float(number)) for number, h in enumerate(histories)]
         return cls(
             np.concatenate(runs),
@@ -67,8 +67,8 @@ def minimise(
 ) -> tuple[FloatArray, SearchHistory]:
     """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``.
 
-    What lies beyond an end of the box counts as its mirror image: cma's own handling of bounds goes
-    from point to point, and takes as long as all the rest.
+    Points outside the box are reflected into it. cma's own handling of bounds works point by point
+    and takes as long as everything else together.
     """
     import cma
 
@@ -76,7 +76,7 @@ def minimise(
     options = {
         "popsize": population,
         "maxiter": iterations,
-        # Own generator: cma would otherwise seed and draw from NumPy's global state.
+        # Use our own generator: cma would otherwise seed and draw from NumPy's global state.
         "randn": lambda rows, columns: generator.standard_normal((rows, columns)),
         "seed": math.nan,
         "verbose": -9,
@@ -88,16 +88,16 @@ def minimise(
     rows: list[tuple[float, float]] = []
     best, best_point = math.inf, start
     while not strategy.stop():
-        asked = strategy.ask()
+        proposals = strategy.ask()
         width = high - low
-        beyond = (start + scale * np.asarray(asked) - low) % (2.0 * width) - width
-        points = high - np.abs(beyond)
+        folded = (start + scale * np.asarray(proposals) - low) % (2.0 * width) - width
+        points = high - np.abs(folded)
         values = sum_of_squares(points)
         values = np.where(np.isfinite(values), values, 1e300)
-        strategy.tell(asked, 0.5 * np.log(values / samples + 1e-300))
-        least = int(np.argmin(values))
-        if values[least] < best:
-            best, best_point = float(values[least]), points[least]
+        strategy.tell(proposals, 0.5 * np.log(values / samples + 1e-300))
+        best_index = int(np.argmin(values))
+        if values[best_index] < best:
+            best, best_point = float(values[best_index]), points[best_index]
         rows.append((float(strategy.countevals), math.sqrt(best / samples)))
     evaluations, rmse = np.array(rows).T
     return best_point, SearchHistory(np.zeros(len(rows)), evaluations, rmse)
@@ -107,32 +107,32 @@ MOST_ROUNDS = 60
 POINTS_PER_COEFFICIENT = 3
 FIRST_RADIUS_RPM = 10.0
 LAST_RADIUS_RPM = 0.3
-"""Cloud sizes as the noise whose scatter they equal: sd of white noise at 1 kHz, rpm."""
+"""Cloud sizes, as the sd of white noise at 1 kHz that causes the same scatter, rpm."""
 SHRINK, GROW = 0.4, 1.6
 
 LEAST_SEEN = 1e-12
-"""Smallest eigenvalue of unit columns' products that is not rounding."""
+"""Smallest eigenvalue of a Gram matrix of unit columns that is not rounding."""
 
 
 def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray:
     """Local optimum of the searched symbols near ``start``, both of shape (d,).
 
-    Symbols that would leave their range are held at its end, and the others are refined again.
+    Symbols that would leave their range are fixed at its end, and the others are refined again.
     """
     end = _descend(objective, start, seed)
     names, ranges = objective.searched, objective.model.ranges
-    reached = dict(zip(names, (float(x) for x in end), strict=True))
-    nearest = {
-        n: min(max(x, ranges[n][0]), ranges[n][1]) for n, x in reached.items() if n in ranges
+    unbounded = dict(zip(names, (float(x) for x in end), strict=True))
+    clipped = {
+        n: min(max(x, ranges[n][0]), ranges[n][1]) for n, x in unbounded.items() if n in ranges
     }
-    held = {n: x for n, x in nearest.items() if x != reached[n]}
-    if not held:
+    fixed = {n: x for n, x in clipped.items() if x != unbounded[n]}
+    if not fixed:
         return end
-    rest = objective.holding(held)
-    point = reached | held
-    if rest.searched:
-        others = refine(rest, np.array([point[n] for n in rest.searched]), seed)
-        point |= dict(zip(rest.searched, others, strict=True))
+    reduced = objective.holding(fixed)
+    point = unbounded | fixed
+    if reduced.searched:
+        refined = refine(reduced, np.array([point[n] for n in reduced.searched]), seed)
+        point |= dict(zip(reduced.searched, refined, strict=True))
     return np.array([point[n] for n in names])
 
 
@@ -157,9 +157,9 @@ def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
         move, inside = _minimum(inverse @ values, d)
         trials = np.stack([centre + step @ move, centre + step @ unit[int(np.argmin(values))]])
         reached = objective.sum_of_squares(trials)
-        least = int(np.argmin(reached))
-        if reached[least] < best:
-            centre, best = trials[least], float(reached[least])
+        best_index = int(np.argmin(reached))
+        if reached[best_index] < best:
+            centre, best = trials[best_index], float(reached[best_index])
             radius *= SHRINK if inside else GROW
         else:
             radius *= SHRINK
@@ -182,10 +182,8 @@ def _quadratic_columns(x: FloatArray) -> FloatArray:
 
 
 def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:
-    """Minimum of the fitted quadratic, and whether it lies well inside the cloud.
-
-    The curvature is made positive, and the step kept within the cloud.
-    """
+    """Minimum of the fitted quadratic, and whether it lies well inside the cloud. The curvature is
+    made positive, and the step is limited to the cloud."""
     gradient = coefficients[1 : 1 + d]
     curvature = np.zeros((d, d))
     curvature[np.triu_indices(d)] = coefficients[1 + d :]
@@ -207,9 +205,9 @@ def scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
     columns = jacobian(objective.model, objective.time_s, symbols, solution.coefficients[0, 1:-1])
     norms = np.linalg.norm(columns, axis=0)
     norms = np.where(norms > 0.0, norms, 1.0)
-    sizes, turned = np.linalg.eigh((columns / norms).T @ (columns / norms))
-    # Of what the ringing hardly shows, a scatter that rounding does not decide.
-    roots = turned / np.sqrt(np.maximum(sizes, LEAST_SEEN)) / norms[:, None]
+    eigenvalues, eigenvectors = np.linalg.eigh((columns / norms).T @ (columns / norms))
+    # Limit the scatter of hardly visible directions, which rounding would set otherwise.
+    roots = eigenvectors / np.sqrt(np.maximum(eigenvalues, LEAST_SEEN)) / norms[:, None]
     order = [names.index(n) for n in SYMBOLS if n in objective.searched]
     triangle = np.linalg.qr(roots[order].T).R
     return np.asarray((triangle * np.where(np.diag(triangle) < 0.0, -1.0, 1.0)[:, None]).T)

@@ -1,20 +1,20 @@
 """Sum of squares of the disturbance model on an even grid, compiled.
 
-Everything here is in samples and complex numbers. With z = e^{(−τ + iω)Δt} the ringing after one
-impact is Im(w zʲ), w = e^{(−τ + iω)uΔt}, u ∈ [0, 1) the distance from the impact to the first
-sample after it. One table of powers zʲ therefore serves every pulse:
+All quantities are in samples, and waves are complex. With z = e^{(−τ + iω)Δt}, the ringing after
+one impact is Im(w zʲ), w = e^{(−τ + iω)uΔt}, where u ∈ [0, 1) is the distance from the impact to
+the next sample. One table of powers zʲ therefore serves every pulse:
 
-* the train of pulses is written into its windows, and summed there by itself, by the signal and by
-  the load-angle harmonics; where pulses overlap each sample counts once, and samples that a fit
-  leaves out are zero;
-* the signal's inner products with the harmonics depend on T_w alone and are interpolated from a
-  table made once per recording.
+* The train of pulses is written into its windows. There, its inner products with itself, the signal
+  and the load-angle harmonics are summed. Overlapping pulses are added first, so each sample counts
+  once; samples left out of the fit are zero.
+* The inner products of the signal with the harmonics depend on T_w alone. They are interpolated
+  from a table made once per recording.
 
-A, v_t and the baseline are then solved from the normal equations. Work per evaluation does not
+A, v_t and the baseline are then solved from the normal equations. The work per evaluation does not
 grow with the samples outside the pulse windows.
 
-Everything that numba compiles together is in this one file: its cache looks only at the file of
-the outermost function, so a part kept elsewhere could go stale unnoticed.
+Everything that numba compiles together is in this one file. Its cache checks only the file of the
+outermost function, so a part kept elsewhere could go stale unnoticed.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def harmonic_table(centred_speed_rpm: FloatArray, columns: int) -> FloatArray:
 
     Returns
     -------
-    Shape (columns + 2 · INTERPOLATION_POINTS, 2), real and imaginary part; the first
-    INTERPOLATION_POINTS rows continue to negative κ so that interpolation needs no special case.
+    Shape (columns + 2 · INTERPOLATION_POINTS, 2), real and imaginary part. The first
+    INTERPOLATION_POINTS rows continue to negative κ, so that interpolation needs no special case.
     """
     n = centred_speed_rpm.size
     length = grid_length(n)
@@ -67,26 +67,26 @@ def grid_length(samples: int) -> int:
 
 @compiled()
 def _fill_powers(z: complex, cosine: FloatArray, sine: FloatArray, count: int) -> None:
-    """cosine + i·sine = zʲ for j < count, by doubling."""
+    """Fill cosine + i·sine = zʲ for j < count, by doubling."""
     cosine[0] = 1.0
     sine[0] = 0.0
     filled = 1
     factor = z
     while filled < count:
-        more = min(filled, count - filled)
+        added = min(filled, count - filled)
         re, im = factor.real, factor.imag
-        old_c, old_s = cosine[:more], sine[:more]
-        new_c, new_s = cosine[filled : filled + more], sine[filled : filled + more]
-        for j in range(more):
+        old_c, old_s = cosine[:added], sine[:added]
+        new_c, new_s = cosine[filled : filled + added], sine[filled : filled + added]
+        for j in range(added):
             new_c[j] = old_c[j] * re - old_s[j] * im
             new_s[j] = old_c[j] * im + old_s[j] * re
         factor = factor * factor
-        filled += more
+        filled += added
 
 
 @compiled(fastmath={"reassoc", "contract"})
 def _add_wave(train, start, cosine, sine):  # type: ignore[no-untyped-def]
-    """Add Im(start · zʲ) to samples in a row."""
+    """Add Im(start · zʲ) to consecutive samples."""
     for j in range(train.size):
         train[j] += start.real * sine[j] + start.imag * cosine[j]
 
@@ -144,20 +144,20 @@ def solve(gram, rhs, y_square, mean, solve_mean, solution, factor):  # type: ign
     Parameters
     ----------
     gram, rhs
-        XᵀX (lower triangle read) and Xᵀy of all c columns, shapes (c, c) and (c,); ``rhs`` is
-        overwritten.
+        XᵀX (only the lower triangle is read) and Xᵀy of all c columns, shapes (c, c) and (c,);
+        ``rhs`` is overwritten.
     y_square
         Σ y², rpm².
     mean
-        Value of the first coefficient where it is not solved for, rpm.
+        Value of the first coefficient if it is fixed, rpm.
     solution, factor
-        Output: coefficients (c,) and lower Cholesky factor (c, c), whose row and column of a
-        given mean are left as they are.
+        Output: coefficients (c,) and lower Cholesky factor (c, c), whose row and column of a fixed
+        mean stay unchanged.
 
     Returns
     -------
-    Sum of squares left in rpm² (infinite where the columns are degenerate), and log|XᵀX| of the
-    columns solved for.
+    Residual sum of squares in rpm² (infinite if the columns are degenerate), and log|XᵀX| of the
+    solved columns.
     """
     c = rhs.size
     first = 0 if solve_mean else 1
@@ -217,22 +217,22 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     parameters
-        Shape (m, 8), columns as named at the top of this module; times in s, v_t in rpm relative
-        to the signal's mean, read only where it is not solved for. A is always solved for.
+        Shape (m, 8), columns as named at the top of this module; times in s, v_t in rpm relative to
+        the signal's mean, read only if it is fixed. A is always solved for.
     y, y_square
         Signal with its mean removed, shape (n,), rpm, and Σ y².
     table, table_length
         Of :func:`harmonic_table` and :func:`grid_length`.
     left_out, left_out_table
-        Numbers of the samples to leave out, sorted, shape (l,), where ``y`` is zero; and
+        Sorted indices of the samples to leave out, shape (l,), where ``y`` is zero; and
         :func:`harmonic_table` of a signal that is one there and zero elsewhere, for twice the
-        harmonics. Neither is read where l is zero.
+        harmonics. Neither is read if l is zero.
     sse, log_determinant
-        Output, shape (m,): rpm², and log|XᵀX| of the columns solved for. Infinite sum of squares
-        where the parameters make no waveform.
+        Output, shape (m,): rpm², and log|XᵀX| of the solved columns. The sum of squares is infinite
+        where the parameters give no waveform.
     coefficients, factors
-        Output, shapes (m, c) and (m, c, c) with c = 2 + 2·harmonics, or (0, …) to leave out:
-        solution in the order [v_t, cos, sin, …, A] and the Cholesky factor of XᵀX.
+        Output, shapes (m, c) and (m, c, c) with c = 2 + 2·harmonics, or (0, …) to skip: solution in
+        the order [v_t, cos, sin, …, A] and the Cholesky factor of XᵀX.
     """
     n = y.size
     c = 2 + 2 * harmonics
@@ -245,8 +245,8 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
         if parameters[row, ROTATION] > 0.0:
             shortest = min(shortest, parameters[row, ROTATION] / period_s)
     room = int(min(longest, n)) + 4
-    most = 2 * (int((n + room) / max(shortest, 1.0)) + 4)
-    first, last = np.empty(most, np.int64), np.empty(most, np.int64)
+    most_pulses = 2 * (int((n + room) / max(shortest, 1.0)) + 4)
+    first, last = np.empty(most_pulses, np.int64), np.empty(most_pulses, np.int64)
     cosine, sine = np.empty(room), np.empty(room)
     turning_c, turning_s = np.empty((harmonics, room)), np.empty((harmonics, room))
     train = np.zeros(n)
@@ -284,7 +284,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
                 x -= p[SEPARATION] / period_s
             x += math.ceil((-window - 1.0 - x) / rotation) * rotation
             while x <= n:
-                # Of the first sample after the impact, and of the one on the ramp at the end.
+                # begin: first sample after the impact; begin + run: sample on the final ramp.
                 begin = int(math.ceil(x))
                 u = begin - x
                 run = max(int(math.floor(window - 0.5 - u)) + 1, 0)
@@ -309,40 +309,40 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
         rhs[c - 1] = gram[c - 1, 0] = gram[c - 1, c - 1] = 0.0
         gram[c - 1, 1 : c - 1] = 0.0
         for pulse in range(count):
-            part, own = train[first[pulse] : last[pulse]], y[first[pulse] : last[pulse]]
-            total, square, product = _sums(part, own)
+            pulse_samples, y_part = train[first[pulse] : last[pulse]], y[first[pulse] : last[pulse]]
+            total, square, product = _sums(pulse_samples, y_part)
             gram[c - 1, 0] += total
             gram[c - 1, c - 1] += square
             rhs[c - 1] += product
             for k in range(harmonics):
-                even, odd = _dots(part, turning_c[k], turning_s[k])
-                turned = complex(even, odd) * np.exp(1j * kappa * (k + 1) * (first[pulse] - centre))
-                gram[c - 1, 2 * k + 1] += turned.real
-                gram[c - 1, 2 * k + 2] += turned.imag
-            part[:] = 0.0  # where pulses overlap, each sample counts once
+                even, odd = _dots(pulse_samples, turning_c[k], turning_s[k])
+                phased = complex(even, odd) * np.exp(1j * kappa * (k + 1) * (first[pulse] - centre))
+                gram[c - 1, 2 * k + 1] += phased.real
+                gram[c - 1, 2 * k + 2] += phased.imag
+            pulse_samples[:] = 0.0  # where pulses overlap, each sample counts once
 
         for k in range(1, 2 * harmonics + 1):
             waves[k] = math.sin(0.5 * n * k * kappa) / math.sin(0.5 * k * kappa)
             if left_out.size > 0:
-                place = k * kappa / (2.0 * math.pi) * table_length
-                waves[k] -= _interpolate(left_out_table, place)
+                position = k * kappa / (2.0 * math.pi) * table_length
+                waves[k] -= _interpolate(left_out_table, position)
         rhs[0] = 0.0
         for j in range(1, harmonics + 1):
             gram[2 * j - 1, 0], gram[2 * j, 0] = waves[j].real, waves[j].imag
             for k in range(1, j + 1):
-                less, more = waves[j - k], waves[j + k]
-                gram[2 * j - 1, 2 * k - 1] = 0.5 * (less.real + more.real)
-                gram[2 * j - 1, 2 * k] = 0.5 * (more.imag - less.imag)
-                gram[2 * j, 2 * k - 1] = 0.5 * (more.imag + less.imag)
-                gram[2 * j, 2 * k] = 0.5 * (less.real - more.real)
-            at = _interpolate(table, j * kappa / (2.0 * math.pi) * table_length)
-            rhs[2 * j - 1], rhs[2 * j] = at.real, at.imag
+                difference, total_order = waves[j - k], waves[j + k]
+                gram[2 * j - 1, 2 * k - 1] = 0.5 * (difference.real + total_order.real)
+                gram[2 * j - 1, 2 * k] = 0.5 * (total_order.imag - difference.imag)
+                gram[2 * j, 2 * k - 1] = 0.5 * (total_order.imag + difference.imag)
+                gram[2 * j, 2 * k] = 0.5 * (difference.real - total_order.real)
+            product_sum = _interpolate(table, j * kappa / (2.0 * math.pi) * table_length)
+            rhs[2 * j - 1], rhs[2 * j] = product_sum.real, product_sum.imag
 
         sse[row], log_determinant[row] = solve(
             gram, rhs, y_square, p[MEAN], solve_mean, solution, factor
         )
         if keep:
-            # Element by element: to compile the assignment of an array takes seconds.
+            # Element by element: compiling the assignment of an array takes seconds.
             for i in range(c):
                 coefficients[row, i] = solution[i]
                 for j in range(c):

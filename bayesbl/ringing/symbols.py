@@ -31,7 +31,7 @@ class Symbol:
 
     @property
     def unit(self) -> str:
-        """As its name ends."""
+        """Unit, from the ending of the name."""
         return unit_of(self.name)
 
 
@@ -101,7 +101,7 @@ class DisturbanceModel:
         return tuple(n for n in SYMBOLS if n not in self.fixed)
 
     def named(self, point: Iterable[float]) -> dict[str, float]:
-        """The searched symbols of a point, (d,), and the fixed ones."""
+        """Symbols by name: the searched ones from a point, (d,), and the fixed ones."""
         return dict(zip(self.searched, map(float, point), strict=True)) | dict(self.fixed)
 
     @property
@@ -110,6 +110,6 @@ class DisturbanceModel:
         return {n: self.ranges[n] for n in self.searched if n in self.ranges and n != START}
 
     def holding(self, values: Mapping[str, float]) -> DisturbanceModel:
-        """The model with these symbols fixed as well and without ranges."""
+        """Fix these symbols too, and drop their ranges."""
         ranges = {name: r for name, r in self.ranges.items() if name not in values}
         return replace(self, fixed={**self.fixed, **values}, ranges=ranges)

@@ -1,7 +1,7 @@
 """The paper's search: CMA-ES over eq. 6 as printed, from the middle of Table 2's ranges.
 
-It finds the pulses of a recording by luck only (``configs/search_study.toml``): their RMSE has too
-many minima over T_w. What it ends at is kept beside the optimum, and trusted only where it has the
+It finds the pulses of a recording only by luck (``configs/search_study.toml``), because the RMSE
+has too many minima over T_w. Its result is kept beside the optimum, and trusted only if it has the
 optimum's pulses.
 """
 
@@ -37,7 +37,7 @@ REPETITIONS = 4
 
 @dataclass(frozen=True, slots=True)
 class BoxSearch:
-    """Where the search ended; all nine symbols by name, of either sign, in any rotation."""
+    """Result of the search; all nine symbols by name, A of either sign, t0 in any rotation."""
 
     symbols: dict[str, float]
     rmse_rpm: float
@@ -46,7 +46,7 @@ class BoxSearch:
 def search_as_printed(
     objective: Objective, generator: np.random.Generator
 ) -> tuple[BoxSearch, SearchHistory]:
-    """Exactly eq. 6 over the ranges of Table 2: x0 mid-range, σ0 a quarter of it."""
+    """Search eq. 6 over the ranges of Table 2: x0 mid-range, σ0 a quarter of the range."""
     time_s, speed_rpm = objective.time_s[objective.used], objective.speed_rpm[objective.used]
     box = ranges_as_printed(time_s, speed_rpm)
 
@@ -90,8 +90,8 @@ def ranges_as_printed(time_s: FloatArray, speed_rpm: FloatArray) -> dict[str, tu
 def squares_as_printed(points, time_s, speed_rpm):  # type: ignore[no-untyped-def]
     """Sum of squares of eq. 6 at points (m, 9), rpm², shape (m,).
 
-    Hard edges, four repetitions, nothing before or after; sin ω(t) is read as sin(ω (t − t1)).
-    Where t2 is not later than t1 there is no pulse.
+    Windows have hard edges, and there are four repetitions with nothing before or after. sin ω(t)
+    is read as sin(ω (t − t1)). If t2 is not later than t1, there is no pulse.
     """
     n = time_s.size
     centre = speed_rpm.mean()
@@ -101,20 +101,20 @@ def squares_as_printed(points, time_s, speed_rpm):  # type: ignore[no-untyped-de
     for row in range(len(points)):
         amplitude, start, decay, frequency, mean, opens, closes, apart, rotation = points[row]
         total = square + n * (centre - mean) ** 2
-        # Pulses may overlap: summed first, and each sample is then counted and cleared once.
-        for counted in (False, True):
+        # Pulses may overlap: sum them first, then count and clear each sample once.
+        for counting in (False, True):
             for repetition in range(1, REPETITIONS + 1):
                 for sign in (1.0, -1.0):
-                    zero = start + repetition * rotation - (apart if sign < 0.0 else 0.0)
-                    first = np.searchsorted(time_s, zero + opens)
+                    pulse_time = start + repetition * rotation - (apart if sign < 0.0 else 0.0)
+                    first = np.searchsorted(time_s, pulse_time + opens)
                     for k in range(first, n):
-                        if time_s[k] - zero > closes:
+                        if time_s[k] - pulse_time > closes:
                             break
-                        if counted:
+                        if counting:
                             total += train[k] * (train[k] - 2.0 * (speed_rpm[k] - mean))
                             train[k] = 0.0
                         else:
-                            u = time_s[k] - zero - opens
+                            u = time_s[k] - pulse_time - opens
                             train[k] += (
                                 sign * amplitude * math.exp(-decay * u) * math.sin(frequency * u)
                             )
@@ -125,9 +125,9 @@ def squares_as_printed(points, time_s, speed_rpm):  # type: ignore[no-untyped-de
 def same_pulses(
     optimum: Mapping[str, float], truth: Mapping[str, float], duration_s: float
 ) -> bool:
-    """Whether there are pulses, and they are those of the truth all along a recording.
+    """Whether the optimum has pulses, and they match the true ones throughout a recording.
 
-    To a quarter of the ringing period, positive and negative ones.
+    Positive and negative pulses must match within a quarter of the ringing period.
     """
     rotation = truth[ROTATION]
     quarter = 0.5 * math.pi / truth[FREQUENCY]
@@ -141,7 +141,7 @@ def same_pulses(
 
 
 def _impacts(symbols: Mapping[str, float]) -> tuple[float, float]:
-    """Times of a positive and a negative impact, s; a negative A makes them change places."""
+    """Times of a positive and a negative impact, s; a negative A exchanges them."""
     first = symbols[START] + symbols[WINDOW_START]
     times = (first, first - symbols[SEPARATION])
     return times if symbols[AMPLITUDE] > 0.0 else times[::-1]

@@ -1,19 +1,19 @@
 """The disturbance model as the paper writes it: eq. 3, 5 and 6 over an array of times.
 
-This is the reference that the fast kernel is tested against, and the path for recordings whose
-samples are not evenly spaced.
+This is the reference that the fast kernel is tested against. It also serves recordings that are not
+evenly sampled.
 
-Two things differ from eq. 3, in three samples per pulse: its edges are resolved to the sampling.
+It differs from eq. 3 in three samples per pulse, because the edges are resolved to the sampling.
 
-* The hard end of the window is a ramp one sample wide, centred on t2. A hard edge makes the sum of
-  squares jump whenever t0, T or T_w moves a pulse's last sample across it, and then neither a
+* The hard end of the window is a ramp one sample wide, centred on t2. With a hard edge, the sum of
+  squares jumps whenever t0, T or T_w moves a pulse's last sample across it. Then neither a
   least-squares amplitude nor a likelihood is continuous.
 * The corner at the impact is averaged over a triangle that reaches one sample to either side (the
-  band-limited corner of Esqueda, Välimäki and Bilbao 2016). A sharp corner meets the misfit there,
-  several rpm on a virtual bench, with a weight that depends on where between two samples the
-  impact falls: at 1 kHz and δ = 3.3e-3 rad that scatters A by 0.1 rpm.
+  band-limited corner of Esqueda, Välimäki and Bilbao 2016). The misfit there is several rpm on a
+  virtual bench. A sharp corner weights it depending on where between two samples the impact falls.
+  At 1 kHz and δ = 3.3e-3 rad this scatters A by 0.1 rpm.
 
-Its derivatives are the columns behind every covariance in the package.
+Its derivatives are the Jacobian behind every covariance in the package.
 """
 
 from __future__ import annotations
@@ -54,34 +54,33 @@ def impact(
     window_length_s
         t2 − t1 in s.
     sampling_period_s
-        Δt in s, which the edges are resolved to.
+        Sampling period Δt in s, to which the edges are resolved.
 
     Returns
     -------
     Same shape as ``since_start_s``, dimensionless.
     """
     u = np.maximum(since_start_s, 0.0)
-    ramp, near = _edges(since_start_s, window_length_s, sampling_period_s)
+    ramp, closeness = _edges(since_start_s, window_length_s, sampling_period_s)
     ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
-    corner = angular_frequency_rad_per_s * sampling_period_s * near**3 / 6.0
+    corner = angular_frequency_rad_per_s * sampling_period_s * closeness**3 / 6.0
     return np.asarray(ramp * ringing + corner)
 
 
 def _edges(
     since_start_s: FloatArray, window_length_s: float, sampling_period_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Share of the ringing that the window's end leaves, 0 before the impact, and how near to the
-    corner a sample is, from 0 to 1.
-    """
+    """Weight of the ringing (0 before the impact, a ramp at the window's end), and closeness of a
+    sample to the corner, from 0 to 1."""
     ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
-    near = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
-    return ramp * (since_start_s >= 0.0), near
+    closeness = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
+    return ramp * (since_start_s >= 0.0), closeness
 
 
 def impacts(
     symbols: Mapping[str, float], begin_s: float, end_s: float, sampling_period_s: float
 ) -> Iterator[tuple[float, float, int]]:
-    """(sign, start in s, rotation counted from the first one) of every impact with samples there.
+    """(sign, start in s, index of the rotation) of every impact with samples in an interval.
 
     Positive pulses start at t0 + t1 + i·T_w, negative ones T earlier, i any integer.
     """
@@ -98,7 +97,7 @@ def impacts(
 def _pulses(
     time_s: FloatArray, symbols: Mapping[str, float], sampling_period_s: float
 ) -> Iterator[tuple[float, int, slice, FloatArray]]:
-    """(sign, rotation, its samples, their time since its start in s) of every impact."""
+    """(sign, rotation, slice of samples, times since the impact in s) of every impact."""
     reach = symbols[WINDOW_END] - symbols[WINDOW_START] + sampling_period_s
     for sign, start, number in impacts(symbols, time_s[0], time_s[-1], sampling_period_s):
         inside = slice(*np.searchsorted(time_s, (start - sampling_period_s, start + reach)))
@@ -110,15 +109,15 @@ def pulse_train(
 ) -> FloatArray:
     """Σ_i f(t − i·T_w) of eq. 6 with A = 1 and f(t) = g(t) − g(t + T).
 
-    All pulses that fall into the recording are included, also those cut by its ends, however many
-    rotations it holds.
+    All pulses within the recording are included, also those cut by its ends, for any number of
+    rotations.
 
     Parameters
     ----------
     time_s
         Shape (n,), s, increasing.
     symbols
-        By name; A and v_t are not asked for.
+        By name; A and v_t are not needed.
 
     Returns
     -------
@@ -136,13 +135,13 @@ def pulse_train(
 def baseline_columns(time_s: FloatArray, rotation_period_s: float, harmonics: int) -> FloatArray:
     """The speed without impacts: constant, cos and sin of each load-angle harmonic.
 
-    Gravity leaks into the speed once per load rotation through the finite speed loop; without
-    these columns it would be fitted by the pulses.
+    Gravity leaks into the speed once per load rotation through the finite speed loop. Without these
+    columns, the pulses would fit it.
 
     Returns
     -------
-    Shape (n, 1 + 2·harmonics): ``[1, cos φ, sin φ, cos 2φ, sin 2φ, …]`` with φ = 2π t / T_w and
-    t counted from the middle of the recording.
+    Shape (n, 1 + 2·harmonics): ``[1, cos φ, sin φ, cos 2φ, sin 2φ, …]`` with φ = 2π t / T_w and t
+    from the middle of the recording.
     """
     middle = 0.5 * (time_s[0] + time_s[-1])
     angle = 2.0 * np.pi / rotation_period_s * (time_s - middle)
@@ -179,11 +178,11 @@ def jacobian(
     symbols: Mapping[str, float],
     baseline_rpm: FloatArray,
 ) -> FloatArray:
-    """Gauss-Newton matrix J = ∂h/∂θ, analytic.
+    """Jacobian J = ∂h/∂θ of the model, analytic.
 
-    The position of the window's hard edge is not differentiated (except for a free window end):
-    the jump there belongs to the model, not to the data, and would count as information about
-    t0, T and T_w that no recording holds.
+    The position of the window's hard edge is not differentiated (except for a free window end). The
+    jump there belongs to the model, not to the data, and would add false information about t0, T
+    and T_w.
 
     Parameters
     ----------
@@ -200,29 +199,31 @@ def jacobian(
     amplitude, decay, frequency = symbols[AMPLITUDE], symbols[DECAY], symbols[FREQUENCY]
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
 
-    by: dict[str, FloatArray] = {
+    derivative: dict[str, FloatArray] = {
         name: np.zeros_like(time_s)
         for name in (AMPLITUDE, START, DECAY, FREQUENCY, SEPARATION, ROTATION, WINDOW_END)
     }
-    for sign, number, inside, u in _pulses(time_s, symbols, period_s):
-        ramp, near = _edges(u, window, period_s)
+    for sign, rotation_index, inside, u in _pulses(time_s, symbols, period_s):
+        ramp, closeness = _edges(u, window, period_s)
         envelope = sign * ramp * np.exp(-decay * u)
         sine, cosine = np.sin(frequency * u), np.cos(frequency * u)
-        corner = sign * period_s * near**3 / 6.0
-        later = -amplitude * (
+        corner = sign * period_s * closeness**3 / 6.0
+        start_derivative = -amplitude * (
             envelope * (frequency * cosine - decay * sine)
-            - 0.5 * sign * frequency * np.copysign(near**2, u)
+            - 0.5 * sign * frequency * np.copysign(closeness**2, u)
         )  # ∂/∂start
-        by[AMPLITUDE][inside] += envelope * sine + frequency * corner
-        by[DECAY][inside] -= amplitude * envelope * sine * u
-        by[FREQUENCY][inside] += amplitude * (envelope * cosine * u + corner)
-        by[START][inside] += later
-        by[ROTATION][inside] += later * number
+        derivative[AMPLITUDE][inside] += envelope * sine + frequency * corner
+        derivative[DECAY][inside] -= amplitude * envelope * sine * u
+        derivative[FREQUENCY][inside] += amplitude * (envelope * cosine * u + corner)
+        derivative[START][inside] += start_derivative
+        derivative[ROTATION][inside] += start_derivative * rotation_index
         if sign < 0.0:
-            by[SEPARATION][inside] -= later
+            derivative[SEPARATION][inside] -= start_derivative
         on_ramp = (ramp > 0.0) & (ramp < 1.0)
-        by[WINDOW_END][inside] += on_ramp * sign * amplitude * np.exp(-decay * u) * sine / period_s
-    by[WINDOW_START] = by[START] - by[WINDOW_END]
+        derivative[WINDOW_END][inside] += (
+            on_ramp * sign * amplitude * np.exp(-decay * u) * sine / period_s
+        )
+    derivative[WINDOW_START] = derivative[START] - derivative[WINDOW_END]
 
     rotation = symbols[ROTATION]
     columns = baseline_columns(time_s, rotation, model.baseline_harmonics)
@@ -231,9 +232,9 @@ def jacobian(
         cosine, sine = columns[:, 2 * k - 1], columns[:, 2 * k]
         angle_rate = -2.0 * np.pi * k * (time_s - middle) / rotation**2
         in_phase, in_quadrature = baseline_rpm[2 * k - 2], baseline_rpm[2 * k - 1]
-        by[ROTATION] += angle_rate * (in_quadrature * cosine - in_phase * sine)
-    by[MEAN] = np.ones_like(time_s)
-    free = [by[name] for name in _free_amplitude_first(model)]
+        derivative[ROTATION] += angle_rate * (in_quadrature * cosine - in_phase * sine)
+    derivative[MEAN] = np.ones_like(time_s)
+    free = [derivative[name] for name in _free_amplitude_first(model)]
     return np.column_stack([*free, columns[:, 1:]])
 
 
@@ -243,12 +244,12 @@ def misfit_curvature(
     symbols: Mapping[str, float],
     residual_rpm: FloatArray,
 ) -> FloatArray:
-    """Σ_n r_n ∂²h_n/∂θ∂θ: what a residual that is not small adds to the curvature.
+    """Σ_n r_n ∂²h_n/∂θ∂θ: the contribution of a non-zero residual to the curvature.
 
-    Half the second derivative of the sum of squares is JᵀJ less this matrix. Analytic, the window's
-    end held still as in :func:`jacobian`. Rows of A and v_t vanish at an optimum and are zero
-    here, those of a free window and of the baseline are left out: the residual is orthogonal to
-    the one and the other carries no ringing.
+    Half the second derivative of the sum of squares is JᵀJ minus this matrix. It is analytic, with
+    the window's end fixed as in :func:`jacobian`. Rows of A and v_t vanish at an optimum, because
+    the residual is orthogonal to their columns, and are zero here. Those of a free window and of
+    the baseline are left out: they carry no ringing.
 
     Parameters
     ----------
@@ -264,26 +265,28 @@ def misfit_curvature(
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
     names = (DECAY, FREQUENCY, START, SEPARATION, ROTATION)
     total = np.zeros((5, 5))
-    for sign, number, inside, u in _pulses(time_s, symbols, period_s):
-        ramp, near = _edges(u, window, period_s)
+    for sign, rotation_index, inside, u in _pulses(time_s, symbols, period_s):
+        ramp, closeness = _edges(u, window, period_s)
         weight = sign * symbols[AMPLITUDE] * residual_rpm[inside]
-        bend = symbols[FREQUENCY] / period_s * (weight @ near)
-        turn = 0.5 * (weight @ np.copysign(near**2, u))
+        corner_term = symbols[FREQUENCY] / period_s * (weight @ closeness)
+        corner_cross = 0.5 * (weight @ np.copysign(closeness**2, u))
         wave = weight * ramp * np.exp(exponent * u)
-        # d/dτ is −u, d/dω is iu, d/d(start) is −λ acting on e^{λu}; λ itself moves with both.
+        # d/dτ is −u, d/dω is iu, d/d(start) is −λ, all acting on e^{λu}; λ depends on τ and ω too.
         mixed = wave @ (1.0 + exponent * u)
         shape = np.array([[1.0, -1.0j], [-1.0j, -1.0]]) * (wave @ u**2)
-        moves = np.array([1.0, -1.0 if sign < 0.0 else 0.0, number])
+        start_derivatives = np.array([1.0, -1.0 if sign < 0.0 else 0.0, rotation_index])
         total[:2, :2] += shape.imag
-        cross = np.outer([mixed.imag, turn - mixed.real], moves)
+        cross = np.outer([mixed.imag, corner_cross - mixed.real], start_derivatives)
         total[:2, 2:] += cross
         total[2:, :2] += cross.T
-        total[2:, 2:] += np.outer(moves, moves) * ((exponent**2 * wave.sum()).imag + bend)
+        total[2:, 2:] += np.outer(start_derivatives, start_derivatives) * (
+            (exponent**2 * wave.sum()).imag + corner_term
+        )
     columns = jacobian_columns(model)
     curvature = np.zeros((len(columns), len(columns)))
     free = [i for i, name in enumerate(names) if name in columns]
-    places = [columns.index(names[i]) for i in free]
-    curvature[np.ix_(places, places)] = total[np.ix_(free, free)]
+    free_columns = [columns.index(names[i]) for i in free]
+    curvature[np.ix_(free_columns, free_columns)] = total[np.ix_(free, free)]
     return curvature
 
 

@@ -1,7 +1,7 @@
-"""How ensembles are run until their chains are long enough, and what is kept of them.
+"""Run independent emcee ensembles in parallel until their chains are long enough.
 
-Independent emcee ensembles go on side by side, in stretches. Of draws that press against the edge
-of a tolerance it is asked how probable that is for a true value within it.
+Also judge draws that pile up at the edge of a tolerance: how probable is that for a true value
+within the tolerance?
 """
 
 from __future__ import annotations
@@ -28,51 +28,51 @@ from bayesbl.sampling.convergence import (
 )
 
 FURTHEST = 30.0
-"""Standard deviations of a peak beyond an edge; from there on the draws look exponential."""
+"""Largest distance of a peak from an edge, in sd; the draws then look exponential."""
 
 
 def chance_at_edge(distances: FloatArray, width: float) -> float:
-    """Probability of a likelihood whose peak lies so far beyond an edge, or further.
+    """Probability that the peak of a likelihood lies this far beyond an edge, or farther.
 
-    With the peak t standard deviations s beyond the edge, draws have their mean at s (λ − t) and
-    the variance s² (1 + tλ − λ²), λ = φ(t)/Q(t) and Q the upper tail of the normal distribution.
-    The true value lies anywhere within the tolerance with equal probability, so a peak t or
-    further beyond has the probability s/width (φ(t) − t Q(t)).
+    If the peak is t standard deviations s beyond the edge, the draws have mean s (λ − t) and
+    variance s² (1 + tλ − λ²), with λ = φ(t)/Q(t) and Q the upper tail of the normal distribution.
+    The true value is uniform within the tolerance, so a peak t or farther beyond has the
+    probability s/width (φ(t) − t Q(t)).
 
     Parameters
     ----------
     distances
-        Of the draws from the edge, none negative, any shape.
+        Distances of the draws from the edge, none negative, any shape.
     width
-        Of the tolerance, in the same unit.
+        Width of the tolerance, in the same unit.
 
     Returns
     -------
-    At most one; one where the peak does not lie beyond the edge.
+    At most 1; 1 if the peak does not lie beyond the edge.
     """
     mean, sd = float(distances.mean()), float(distances.std())
     if mean >= sd * _shape(0.0)[0]:
         return 1.0
-    beyond = FURTHEST
+    peak_distance = FURTHEST
     if mean > sd * _shape(FURTHEST)[0]:
         from scipy.optimize import brentq
 
-        beyond = float(brentq(lambda t: _shape(t)[0] - mean / sd, 0.0, FURTHEST))
-    own = sd / _shape(beyond)[1]
-    tail = _density(beyond) - beyond * normal_sf(beyond)
-    return min(1.0, own / width * tail)
+        peak_distance = float(brentq(lambda t: _shape(t)[0] - mean / sd, 0.0, FURTHEST))
+    likelihood_sd = sd / _shape(peak_distance)[1]
+    tail = _density(peak_distance) - peak_distance * normal_sf(peak_distance)
+    return min(1.0, likelihood_sd / width * tail)
 
 
 def _density(z: float) -> float:
-    """Of the standard normal distribution."""
+    """Density of the standard normal distribution."""
     return math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
 
 
-def _shape(beyond: float) -> tuple[float, float]:
-    """Mean over standard deviation of the draws, and the latter over that of the likelihood."""
-    hazard = _density(beyond) * math.exp(-log_ndtr(-beyond))
-    sd = float(np.sqrt(1.0 + beyond * hazard - hazard**2))
-    return (hazard - beyond) / sd, sd
+def _shape(peak_distance: float) -> tuple[float, float]:
+    """Mean over sd of the draws, and their sd over that of the likelihood."""
+    hazard = _density(peak_distance) * math.exp(-log_ndtr(-peak_distance))
+    sd = float(np.sqrt(1.0 + peak_distance * hazard - hazard**2))
+    return (hazard - peak_distance) / sd, sd
 
 
 FEWEST_WALKERS = 32
@@ -80,35 +80,35 @@ START_SPREAD = 1.5
 """Scatter of the walkers at the start, in standard deviations of the local covariance."""
 
 INDEPENDENT_SHARE = 0.5
-"""Of the steps, that propose from the local distribution whatever the walker is; the others jump
-along differences of walkers, which needs no guess of the posterior's shape."""
+"""Share of steps with independent proposals from the local distribution. The others jump along
+differences of walkers, which needs no guess of the posterior's shape."""
 FREEDOM = 5.0
-"""Of Student's t that is proposed from: its tails are heavier than a posterior's, so no walker that
-is far out stays there."""
+"""Degrees of freedom of the Student-t proposal. Its tails are heavier than a posterior's, so no
+walker stays far out."""
 
 GAMMA_SCATTER = 1e-5
-"""Of the length of a jump, relative: so that any point can be reached."""
+"""Relative scatter of the length of a jump, so that any point can be reached."""
 
 
 def walkers_needed(dimensions: int) -> int:
-    """How many an ensemble has."""
+    """Number of walkers of an ensemble."""
     return max(FEWEST_WALKERS, 4 * dimensions)
 
 
 class Ensembles:
-    """emcee ensembles, each of which knows nothing of the others.
+    """Independent emcee ensembles.
 
-    One sampler holds the walkers of all, so that a step asks for the density of all at once.
+    One sampler holds the walkers of all ensembles, so that a step evaluates all densities at once.
 
     Parameters
     ----------
     target
         Log density of points (m, d), shape (m,).
     starts
-        Of each walker, shape (ensembles, :func:`walkers_needed`, d).
+        Start of each walker, shape (ensembles, :func:`walkers_needed`, d).
     centre, local_covariance
-        Roughly where the density is, shapes (d,) and (d, d): decides how fast it is sampled, never
-        what is.
+        Approximate location and covariance of the density, shapes (d,) and (d, d). They affect the
+        speed of sampling, not its result.
     """
 
     def __init__(
@@ -141,12 +141,12 @@ class Ensembles:
         count: int,
         seed: np.random.SeedSequence,
     ) -> Ensembles:
-        """So many that begin about a point, at the ends of ranges where they would begin outside.
+        """Start ``count`` ensembles around a point, clipped to the ranges.
 
         Parameters
         ----------
         centre, local_covariance
-            Where the walkers start and how far they scatter there, shapes (d,) and (d, d).
+            Mean and covariance of the starts, shapes (d,) and (d, d).
         box
             Low and high end of every range, shapes (d,); infinite where there is none.
         """
@@ -161,8 +161,8 @@ class Ensembles:
         return cls(target, inside, centre, local_covariance, walk_seed)
 
     def run(self, steps: int) -> None:
-        """Go on for a number of steps."""
-        with np.errstate(invalid="ignore"):  # from a point of no density to another
+        """Continue for a number of steps."""
+        with np.errstate(invalid="ignore"):  # −inf − (−inf) between points without density
             self._state = self._sampler.run_mcmc(self._state, steps, skip_initial_state_check=True)
 
     @property
@@ -173,7 +173,7 @@ class Ensembles:
 
     @property
     def acceptance(self) -> FloatArray:
-        """Share of proposals that were accepted, by ensemble."""
+        """Accepted share of proposals, by ensemble."""
         backend = self._sampler.backend
         accepted = np.asarray(backend.accepted).reshape(self._shape[:2])
         return np.asarray(accepted.mean(axis=1) / backend.iteration)
@@ -182,11 +182,11 @@ class Ensembles:
 def _independent_of(
     centre: FloatArray, covariance: FloatArray
 ) -> Callable[[FloatArray, Any], tuple[FloatArray, FloatArray]]:
-    """Proposals from Student's t around a point, the same for every walker, as emcee asks for them.
+    """Independent Student-t proposals around a point, the same for every walker, in emcee's form.
 
-    x' = c + L z √(ν/χ²_ν); the chance of a move is p(x') t(x) / (p(x) t(x')), 1 at most (Tierney
-    1994, Annals of Statistics 22, 1701). Where the posterior is nearly normal most are taken, and a
-    chain forgets in a few steps.
+    x' = c + L z √(ν/χ²_ν). A move is accepted with probability p(x') t(x) / (p(x) t(x')), at most 1
+    (Tierney 1994, Annals of Statistics 22, 1701). If the posterior is nearly normal, most proposals
+    are accepted and the autocorrelation time is a few steps.
     """
     root = np.linalg.cholesky(covariance)
 
@@ -195,26 +195,26 @@ def _independent_of(
         return np.asarray(-0.5 * (FREEDOM + centre.size) * np.log1p(square / FREEDOM))
 
     def propose(points: FloatArray, random: Any) -> tuple[FloatArray, FloatArray]:
-        shrunk = np.sqrt(random.chisquare(FREEDOM, (len(points), 1)) / FREEDOM)
-        tried = centre + (random.randn(*points.shape) / shrunk) @ root.T
-        return tried, log_density(points) - log_density(tried)
+        t_scale = np.sqrt(random.chisquare(FREEDOM, (len(points), 1)) / FREEDOM)
+        proposals = centre + (random.randn(*points.shape) / t_scale) @ root.T
+        return proposals, log_density(points) - log_density(proposals)
 
     return propose
 
 
 class _DifferentialEvolution:
-    """emcee's DEMove within each of several ensembles, all of them at once: twice as fast.
+    """emcee's DEMove within each of several ensembles, vectorised over them: twice as fast.
 
-    Half of an ensemble's walkers jump along the difference of two of its other half, then the
-    other half does: x + γ (x₁ − x₂), γ = 2.38/√(2d). Ter Braak 2006, Statistics and Computing 16,
-    239; Nelson, Ford & Payne 2014, Astrophysical Journal Supplement 210, 11.
+    Half of an ensemble's walkers jump along the difference of two walkers of the other half, then
+    the other half does: x + γ (x₁ − x₂), γ = 2.38/√(2d). Ter Braak 2006, Statistics and Computing
+    16, 239; Nelson, Ford & Payne 2014, Astrophysical Journal Supplement 210, 11.
     """
 
     def __init__(self, ensembles: int) -> None:
         self._ensembles = ensembles
 
     def propose(self, model: Any, state: Any) -> tuple[Any, BoolArray]:
-        """The next state and which walkers moved, as emcee asks for them."""
+        """The next state and the accepted walkers, as emcee asks for them."""
         random, d = model.random, state.coords.shape[1]
         walkers = len(state.coords) // self._ensembles
         gamma = 2.38 / math.sqrt(2.0 * d)
@@ -227,20 +227,20 @@ class _DifferentialEvolution:
             first = random.randint(size, size=moving.shape)
             second = (first + random.randint(1, size, size=moving.shape)) % size
             pair = [np.take_along_axis(others, place, axis=1).ravel() for place in (first, second)]
-            places = moving.ravel()
-            length = gamma * (1.0 + GAMMA_SCATTER * random.randn(places.size, 1))
-            tried = state.coords[places] + length * (state.coords[pair[0]] - state.coords[pair[1]])
-            log_prob = model.log_prob_fn(tried)
-            moves = np.log(random.rand(places.size)) < log_prob - state.log_prob[places]
-            state.coords[places[moves]] = tried[moves]
-            state.log_prob[places[moves]] = log_prob[moves]
-            accepted[places[moves]] = True
+            index = moving.ravel()
+            length = gamma * (1.0 + GAMMA_SCATTER * random.randn(index.size, 1))
+            trial = state.coords[index] + length * (state.coords[pair[0]] - state.coords[pair[1]])
+            log_prob = model.log_prob_fn(trial)
+            is_accepted = np.log(random.rand(index.size)) < log_prob - state.log_prob[index]
+            state.coords[index[is_accepted]] = trial[is_accepted]
+            state.log_prob[index[is_accepted]] = log_prob[is_accepted]
+            accepted[index[is_accepted]] = True
         return state, accepted
 
 
 STEPS_BETWEEN_CHECKS = 100
 GROWTH_BETWEEN_CHECKS = 0.2
-"""Of the steps so far, before the next check: it costs in proportion to the steps it looks at."""
+"""Share of the steps so far before the next check, whose cost is proportional to them."""
 BURN_IN_AUTOCORRELATIONS = 5.0
 DRAWS_KEPT = 1000
 BOUND_TOLERANCE_SD = 0.05
@@ -249,12 +249,12 @@ BOUND_TOLERANCE_SD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SamplerSettings:
-    """How the posterior is sampled; never part of what A means.
+    """How the posterior is sampled; has no influence on the meaning of A.
 
     Attributes
     ----------
     ensembles
-        Independent emcee ensembles; these are the chains.
+        Number of independent emcee ensembles; these are the chains.
     max_steps
         Upper limit of steps per ensemble; the sampler stops by itself when converged.
     level
@@ -268,20 +268,20 @@ class SamplerSettings:
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """Ensembles that have run until they were long enough, or as long as they may.
+    """The chains of all ensembles after a run.
 
     Attributes
     ----------
     chains
-        After the burn-in, one for each ensemble, shape (step, walker, d).
+        Chain of each ensemble after burn-in, shape (step, walker, d).
     autocorrelation_steps
-        The longest of all ensembles and dimensions.
+        Longest autocorrelation time of all ensembles and dimensions.
     steps
-        Of each chain.
+        Number of steps of each chain.
     acceptance
-        Of each ensemble.
+        Accepted share of proposals of each ensemble.
     stable
-        Whether interval bounds had stopped to move at the last check.
+        Whether the interval bounds were stable at the last check.
     """
 
     chains: tuple[FloatArray, ...]
@@ -297,7 +297,7 @@ class Walk:
         at_bound: Mapping[str, float] | None = None,
         other_answer: Contender | None = None,
     ) -> Diagnostics:
-        """Whether draws by name, (chain, draw), that were made of it can be trusted."""
+        """Judge whether draws made from the chains, (chain, draw) by name, can be trusted."""
         return judge(
             *rank_r_hat_and_ess(draws),
             self.autocorrelation_steps,
@@ -317,29 +317,31 @@ def walk(
     sd: FloatArray | float,
     progress: Progress | None = None,
 ) -> Walk:
-    """Run until chains hold enough autocorrelation times and interval bounds stand still.
+    """Run until the chains hold enough autocorrelation times and the interval bounds are stable.
 
     Parameters
     ----------
     bounds
-        Of the intervals, from the last three quarters of all chains, shape (ensemble, step,
-        walker, d); checked against ``sd``, the
-        standard deviations of what they bound.
+        Function from the last three quarters of all chains, shape (ensemble, step, walker, d), to
+        interval bounds. Their changes are compared with ``sd``, the standard deviations of the
+        bounded quantities.
     """
     steps, tau, stable = 0, math.inf, False
-    last: FloatArray | None = None
+    previous: FloatArray | None = None
     while steps < settings.max_steps:
-        # Short chains tell their autocorrelation time too short: what they lack is not too much.
-        lacking = needed(tau) - steps if math.isfinite(tau) else 0.0
-        stretch = max(STEPS_BETWEEN_CHECKS, GROWTH_BETWEEN_CHECKS * steps, lacking)
+        # Short chains underestimate their autocorrelation time: never too many missing steps.
+        missing = needed(tau) - steps if math.isfinite(tau) else 0.0
+        stretch = max(STEPS_BETWEEN_CHECKS, GROWTH_BETWEEN_CHECKS * steps, missing)
         count = min(math.ceil(stretch), settings.max_steps - steps)
         ensembles.run(count)
         steps += count
         chains = ensembles.chains[:, steps // 4 :]
         tau = max(integrated_time(chain) for chain in chains)
         edges = bounds(chains)
-        stable = last is not None and bool(np.all(np.abs(edges - last) < BOUND_TOLERANCE_SD * sd))
-        last = edges
+        stable = previous is not None and bool(
+            np.all(np.abs(edges - previous) < BOUND_TOLERANCE_SD * sd)
+        )
+        previous = edges
         if progress is not None:
             progress(steps, settings.max_steps)
         if stable and steps - burn_in(tau, steps) > STEPS_PER_AUTOCORRELATION * tau:
@@ -350,21 +352,21 @@ def walk(
 
 
 def needed(tau: float) -> float:
-    """Steps with the burn-in, for chains of this autocorrelation time."""
+    """Steps, including burn-in, that chains of this autocorrelation time need."""
     return (BURN_IN_AUTOCORRELATIONS + STEPS_PER_AUTOCORRELATION) * tau
 
 
 def burn_in(tau: float, steps: int) -> int:
-    """Steps left out at the start: five autocorrelation times, at most half of all."""
+    """Steps dropped at the start: five autocorrelation times, at most half of all."""
     half = steps // 2
     return half if not math.isfinite(tau) else min(half, math.ceil(BURN_IN_AUTOCORRELATIONS * tau))
 
 
 def thinned(chain: FloatArray, count: int = DRAWS_KEPT) -> FloatArray:
-    """``count`` draws of a chain (step, walker, d), shape (draw, d): all walkers, few steps.
+    """``count`` draws of a chain (step, walker, d), shape (draw, d): all walkers of a few steps.
 
-    Steps as far apart as they can be. Evenly spaced over steps and walkers alike, draws would be of
-    one walker alone wherever the spacing comes to a multiple of their number.
+    The steps are as far apart as possible. With even spacing over steps and walkers alike, all
+    draws would come from one walker if the spacing were a multiple of the number of walkers.
     """
     steps, walkers, d = chain.shape
     kept = _evenly(min(steps, math.ceil(count / walkers)), steps)

@@ -1,4 +1,4 @@
-"""Whether the sampling can be trusted, in codes and numbers."""
+"""Diagnostics of the sampling, as codes and numbers."""
 
 from __future__ import annotations
 
@@ -19,25 +19,19 @@ R_HAT_GOOD = 1.01
 R_HAT_BAD = 1.05
 FEWEST_EFFECTIVE = 400.0
 """Effective draws below which it is reported: the actual level of a 90 % interval is 90 ± 1.5 %.
-
-The share of the posterior between two quantiles of n draws has the standard deviation
-√(p (1 − p)/n), p its level. (The same number as 100 in each of four chains, Vehtari et al. 2021.)
-"""
+The share of the posterior between two quantiles of n draws has the standard deviation √(p (1 −
+p)/n), with level p. (The same number as 100 in each of four chains, Vehtari et al. 2021.)"""
 STEPS_PER_AUTOCORRELATION = 50.0
 WINDOW = 5.0
 """Autocorrelation times over which a chain's autocorrelation is summed."""
 WEAKEST_SIGNAL_TO_NOISE = 6.0
-"""A/σ_A below which the answer is withheld: noise alone hardly ever rings as loudly.
-
-The search takes the best of many start times, periods and frequencies, and finds 3.8 ± 0.9, at most
-5.5, in 160 recordings of noise alone (``configs/noise_alone.toml``); none gave an answer.
-"""
+"""A/σ_A below which the answer is withheld: noise alone hardly ever reaches it. The search takes
+the best of many start times, periods and frequencies. In 160 recordings of noise alone it finds 3.8
+± 0.9, at most 5.5 (``configs/noise_alone.toml``); none gave an answer."""
 AT_BOUND_SHARE, AT_BOUND_TOO_MUCH = 0.05, 0.2
-"""Share of draws near a bound that is reported, and share at which the answer is withheld.
-
-Within half a standard deviation of a bound lie 7 % of a normal posterior that is cut off two
-standard deviations from its peak, 14 % if cut off at one, 24 % if cut off at the peak.
-"""
+"""Share of draws near a bound that is reported, and share at which the answer is withheld. Within
+half a standard deviation of a bound lie 7 % of a normal posterior that is cut off two standard
+deviations from its peak, 14 % if cut off at one, 24 % if cut off at the peak."""
 STUCK_ACCEPTANCE = 0.05
 OTHER_ANSWER_SHARE = 0.05
 """Probability of another optimum, with another amplitude, above which the answer is withheld."""
@@ -45,7 +39,7 @@ OTHER_ANSWER_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Flaw:
-    """What speaks against draws, or an answer, for :mod:`bayesbl.sentences` to say.
+    """A fault of draws or of an answer; :mod:`bayesbl.sentences` makes its sentence.
 
     Attributes
     ----------
@@ -89,13 +83,13 @@ class Diagnostics:
     autocorrelation_steps
         Longest integrated autocorrelation time over symbols and ensembles, steps.
     steps
-        Steps each ensemble made after burn-in.
+        Steps of each ensemble after burn-in.
     acceptance
         Mean accepted share of proposals per ensemble, shape (e,).
     failures, doubts
         Why δ must not be used, and why it is to be used with care.
     code
-        Of the first failure, for programs.
+        Code of the first failure, for programs.
     """
 
     r_hat: Mapping[str, float]
@@ -109,12 +103,12 @@ class Diagnostics:
 
     @property
     def outcome(self) -> Outcome:
-        """``usable`` with the doubts given; ``withheld`` where δ must not be used."""
+        """``withheld`` with failures, ``usable`` with doubts only, else ``converged``."""
         return "withheld" if self.failures else "usable" if self.doubts else "converged"
 
     @property
     def reasons(self) -> tuple[Flaw, ...]:
-        """Why it is not simply converged, the gravest first."""
+        """All failures and doubts, the gravest first."""
         return self.failures + self.doubts
 
 
@@ -124,7 +118,7 @@ def rank_r_hat_and_ess(
     """Rank-normalised split R̂ and bulk ESS (Vehtari et al. 2021) of draws (chain, draw) by name."""
     from arviz_stats.base import array_stats
 
-    # Draws that are all alike have no R̂: it is not a number then, which is told as a sentence.
+    # Draws that are all alike have the R̂ nan, which is reported as a sentence.
     with np.errstate(invalid="ignore"):
         r_hat = {n: float(array_stats.rhat(x, method="rank")) for n, x in draws.items()}
         ess = {n: float(array_stats.ess(x, method="bulk")) for n, x in draws.items()}
@@ -132,17 +126,17 @@ def rank_r_hat_and_ess(
 
 
 def integrated_time(chain: FloatArray) -> float:
-    """Integrated autocorrelation time in steps of one ensemble's chain, (step, walker, d).
+    """Integrated autocorrelation time of one ensemble's chain, (step, walker, d), in steps.
 
-    The largest over the symbols; infinite where a walker does not move. 1 + 2 Σ ρ_k, ρ the mean of
-    the walkers' autocorrelations, up to the first lag k ≥ 5 times the sum so far (Sokal 1997), as
-    :func:`emcee.autocorr.integrated_time` has it; but that gives 1 where no lag is.
+    The largest over the symbols; infinite if a walker does not move. It is 1 + 2 Σ ρ_k, with ρ the
+    walkers' mean autocorrelation, up to the first lag k ≥ 5 times the sum so far (Sokal 1997).
+    :func:`emcee.autocorr.integrated_time` does the same, but returns 1 if there is no such lag.
     """
     steps = len(chain)
-    moved = chain - chain.mean(axis=0)
-    if steps < 8 or np.any(moved.std(axis=0) == 0.0):
+    centred = chain - chain.mean(axis=0)
+    if steps < 8 or np.any(centred.std(axis=0) == 0.0):
         return math.inf
-    spectrum = np.abs(fft.rfft(moved, fft.next_fast_len(2 * steps, real=True), axis=0)) ** 2
+    spectrum = np.abs(fft.rfft(centred, fft.next_fast_len(2 * steps, real=True), axis=0)) ** 2
     covariance = fft.irfft(spectrum, axis=0)[:steps]
     sums = 2.0 * np.cumsum((covariance / covariance[0]).mean(axis=1), axis=0) - 1.0
     beyond = np.arange(steps)[:, None] >= WINDOW * sums
@@ -162,7 +156,7 @@ def judge(
     at_bound: Mapping[str, float],
     other_answer: Contender | None = None,
 ) -> Diagnostics:
-    """Turn the numbers into an outcome with its reasons.
+    """Derive an outcome with its reasons from the numbers.
 
     Parameters
     ----------
@@ -173,7 +167,7 @@ def judge(
     at_bound
         By symbol, the share of draws at a bound of its range.
     other_answer
-        The likeliest optimum with another amplitude, if there is one.
+        The most probable optimum with another amplitude, if there is one.
     """
     doubts: list[Flaw] = []
     failures: list[Flaw] = []
@@ -198,13 +192,13 @@ def judge(
         flaw = Flaw("chain_short", values | {"needed": STEPS_PER_AUTOCORRELATION})
         enough = steps > 0.4 * STEPS_PER_AUTOCORRELATION * autocorrelation_steps
         (doubts if enough else failures).append(flaw)
-    least = min(ess_bulk, key=lambda n: ess_bulk[n])
-    if not ess_bulk[least] > FEWEST_EFFECTIVE:
-        doubts.append(Flaw("few_effective", {"symbol": least, "draws": ess_bulk[least]}))
+    fewest = min(ess_bulk, key=lambda n: ess_bulk[n])
+    if not ess_bulk[fewest] > FEWEST_EFFECTIVE:
+        doubts.append(Flaw("few_effective", {"symbol": fewest, "draws": ess_bulk[fewest]}))
     if not (bounds_stable or is_weak):
         doubts.append(Flaw("bounds_moved"))
     for name, share in at_bound.items():
-        # A ringing that is hardly there may be anywhere: that follows from its weakness.
+        # Draws of a weak ringing may lie anywhere; its weakness is reported already.
         if share > AT_BOUND_SHARE and not is_weak:
             flaw = Flaw("draws_at_bound", {"symbol": name, "share": share})
             (failures if share > AT_BOUND_TOO_MUCH else doubts).append(flaw)

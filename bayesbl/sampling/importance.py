@@ -1,4 +1,4 @@
-"""Draws with importance weights: of a normal distribution in a box, of a density nearly like it."""
+"""Importance-weighted draws of a normal distribution in a box, and of nearly normal densities."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from bayesbl.recording.types import FloatArray
 
 TRIALS = 20
-"""Candidates for each draw of a normal distribution in a box."""
+"""Candidates per draw of a normal distribution in a box."""
 SWEEPS = 100
-"""Of a Gibbs sampler over the coordinates that a box cuts."""
+"""Sweeps of the Gibbs sampler over the coordinates that a box cuts."""
 WITHIN_SD = 4.0
 """Standard deviations from the peak beyond which an end of a range cuts nothing."""
 PROPOSED = 8000
-"""Draws of each proposal, unless said otherwise."""
+"""Draws per proposal, unless stated otherwise."""
 ADAPTATIONS = 4
 LARGEST_TAIL = 0.7
-"""Pareto k̂ up to which so many weights are enough (Vehtari et al. 2024)."""
+"""Largest Pareto k̂ for which this many weights suffice (Vehtari et al. 2024)."""
 LEAST_SHARE = 0.25
-"""Kish's effective share of the draws from which on they are not drawn again."""
+"""Kish's effective share of the draws from which the proposal is good enough."""
 FEWEST = 3.0
-"""Effective draws for each coordinate below which a proposal is not adapted, but given up."""
+"""Effective draws per coordinate below which adaptation is given up."""
 FLATTEST = 0.1
-"""Least curvature of a proposal, over that of a normal distribution as wide as the draws: where the
-box alone ends them, the quadratic may bend upwards."""
+"""Smallest curvature of a proposal, relative to a normal distribution as wide as the draws. If only
+the box limits the draws, the fitted quadratic may curve upward."""
 
 
 def independent_draws(
@@ -40,15 +40,15 @@ def independent_draws(
 ) -> tuple[FloatArray, float] | None:
     """Draws of a density that is nearly normal within a box, and their effective share.
 
-    Proposed by a normal distribution within the box, weighted with Pareto-smoothed weights,
-    resampled. The proposal adapts: a quadratic is fitted to the weighted log density.
+    Draws of a normal distribution within the box get Pareto-smoothed weights and are resampled. The
+    proposal adapts: a quadratic is fitted to the weighted log density.
 
     Parameters
     ----------
     target
         Log density of points (m, d), shape (m,).
     peak, covariance
-        Of the first proposal without its box, shapes (d,) and (d, d).
+        Peak and covariance of the first proposal without its box, shapes (d,) and (d, d).
     box
         Low and high end of every range, shapes (d,); infinite where there is none.
     proposed
@@ -56,7 +56,7 @@ def independent_draws(
 
     Returns
     -------
-    Shape (count, d); ``None`` where no proposal is near enough, as for a density of another shape.
+    Shape (count, d); ``None`` if no proposal is close enough, as for a density of another shape.
     """
     from arviz_stats.base import array_stats
 
@@ -66,15 +66,15 @@ def independent_draws(
         log_weights = density - log_proposal
         if effective_size(log_weights) < FEWEST * peak.size:
             return None
-        possible = np.isfinite(log_weights)
-        # ArviZ weighs by the inverse of a likelihood.
-        log_weights[possible], tail = array_stats.psislw(-log_weights[possible])
+        finite = np.isfinite(log_weights)
+        # ArviZ weights by the inverse of a likelihood.
+        log_weights[finite], tail = array_stats.psislw(-log_weights[finite])
         share = effective_size(log_weights) / proposed
         if tail < LARGEST_TAIL and share > LEAST_SHARE:
             return points[resampled(log_weights[None], count, generator)[0]], share
         try:
             peak, covariance = _quadratic(points, density, np.exp(log_weights - log_weights.max()))
-        except np.linalg.LinAlgError:  # nothing that varies is left in some direction
+        except np.linalg.LinAlgError:  # no variation left in some direction
             return None
     return None
 
@@ -83,9 +83,8 @@ def _quadratic(
     points: FloatArray, log_density: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Peak (d,) and covariance (d, d) of the quadratic through the weighted log density (m,).
-
-    No weight is less than a thousandth of the mean: the quadratic also holds where few draws are.
-    """
+    Weights are at least a thousandth of their mean, so that the quadratic also fits where draws are
+    rare."""
     weights = np.where(np.isfinite(log_density), np.maximum(weights, 1e-3 * weights.mean()), 0.0)
     mean = np.average(points, axis=0, weights=weights)
     sd = np.sqrt(np.average((points - mean) ** 2, axis=0, weights=weights))
@@ -113,7 +112,7 @@ def effective_size(log_weights: FloatArray) -> float:
 def resampled(
     log_weights: FloatArray, count: int, generator: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Systematic resampling within each chain; evenly spread where no weight is finite.
+    """Systematic resampling within each chain; evenly spaced if no weight is finite.
 
     Parameters
     ----------
@@ -122,20 +121,20 @@ def resampled(
 
     Returns
     -------
-    Indices of the candidates in their chain, shape (chain, count). Systematic resampling puts equal
-    draws side by side, but draws must pair at random, so they are shuffled.
+    Indices of the candidates in their chain, shape (chain, count). They are shuffled: systematic
+    resampling puts equal draws side by side, but draws must pair at random.
     """
     chains, candidates = log_weights.shape
-    picked = np.empty((chains, count), np.int64)
-    for chain, own in enumerate(log_weights):
-        ticks = (np.arange(count) + generator.uniform()) / count
-        if np.any(np.isfinite(own)):
-            edges = np.cumsum(np.exp(own - own.max()))
-            index = np.searchsorted(edges / edges[-1], ticks)
+    indices = np.empty((chains, count), np.int64)
+    for chain, chain_weights in enumerate(log_weights):
+        quantiles = (np.arange(count) + generator.uniform()) / count
+        if np.any(np.isfinite(chain_weights)):
+            edges = np.cumsum(np.exp(chain_weights - chain_weights.max()))
+            index = np.searchsorted(edges / edges[-1], quantiles)
         else:
             index = np.linspace(0, candidates - 1, count).round().astype(np.int64)
-        picked[chain] = generator.permutation(index)
-    return picked
+        indices[chain] = generator.permutation(index)
+    return indices
 
 
 def truncated_normal(
@@ -147,25 +146,26 @@ def truncated_normal(
 ) -> FloatArray:
     """Draws of a normal distribution within a box, shape (count, d).
 
-    By rejection where that is quick, else resampled from :func:`normal_in_box` by weights; from
-    there on by Gibbs sampling where few weigh.
+    By rejection if that is fast, else by weighted resampling from :func:`normal_in_box`, followed
+    by Gibbs sampling if few weights are effective.
 
     Parameters
     ----------
     peak, covariance
-        Of the normal distribution without the box, shapes (d,) and (d, d); the peak may lie out.
+        Of the normal distribution without the box, shapes (d,) and (d, d); the peak may lie
+        outside.
     box
         Low and high end of every range, shapes (d,); infinite where there is none.
     """
     low, high = box
     root = np.linalg.cholesky(covariance)
-    tried = peak + generator.standard_normal((TRIALS * count, peak.size)) @ root.T
-    inside = tried[np.all((tried > low) & (tried < high), axis=1)]
+    candidates = peak + generator.standard_normal((TRIALS * count, peak.size)) @ root.T
+    inside = candidates[np.all((candidates > low) & (candidates < high), axis=1)]
     if len(inside) >= count:
         return inside[:count]
     points, log_density = normal_in_box(peak, covariance, box, TRIALS * count, generator)
-    white = np.linalg.solve(root, (points - peak).T)
-    log_weights = -0.5 * np.sum(white**2, axis=0) - log_density
+    whitened = np.linalg.solve(root, (points - peak).T)
+    log_weights = -0.5 * np.sum(whitened**2, axis=0) - log_density
     sample = np.asarray(points[resampled(log_weights[None], count, generator)[0]])
     if effective_size(log_weights) >= count:
         return sample
@@ -179,32 +179,31 @@ def _mixed(
     box: tuple[FloatArray, FloatArray],
     generator: np.random.Generator,
 ) -> FloatArray:
-    """Points (m, d) in a box moved on by Gibbs sampling of the coordinates that it cuts.
-
-    In a narrow corner few proposals weigh: of coordinates at zero whose sum alone is known, say.
-    """
+    """Move points (m, d) in a box by Gibbs sampling of the coordinates that the box cuts. In a
+    narrow corner few proposals have weight, such as coordinates near zero of which only the sum is
+    known."""
     low, high = box
     sd = np.sqrt(np.diag(covariance))
     correlation, begin, end = covariance / np.outer(sd, sd), (low - peak) / sd, (high - peak) / sd
     cut = np.maximum(begin, -end) > -WITHIN_SD
-    precision, away = np.linalg.inv(correlation[np.ix_(cut, cut)]), ((points - peak) / sd)[:, cut]
-    for i in np.tile(np.arange(away.shape[1]), SWEEPS):
-        own = precision[i, i] ** -0.5
-        mean = away[:, i] - away @ precision[i] * own**2
-        share = generator.random(len(away))
-        ends = (begin[cut][i] - mean) / own, (end[cut][i] - mean) / own
-        away[:, i] = mean + own * normal_between(*ends, share)
+    precision, z = np.linalg.inv(correlation[np.ix_(cut, cut)]), ((points - peak) / sd)[:, cut]
+    for i in np.tile(np.arange(z.shape[1]), SWEEPS):
+        conditional_sd = precision[i, i] ** -0.5
+        mean = z[:, i] - z @ precision[i] * conditional_sd**2
+        share = generator.random(len(z))
+        ends = (begin[cut][i] - mean) / conditional_sd, (end[cut][i] - mean) / conditional_sd
+        z[:, i] = mean + conditional_sd * normal_between(*ends, share)
     slope = correlation[np.ix_(~cut, cut)] @ precision
-    # Rounding may leave less than no variance of what the others nearly tell.
+    # Rounding may leave a negative variance if the cut coordinates nearly determine the others.
     values, vectors = np.linalg.eigh(
         correlation[np.ix_(~cut, ~cut)] - slope @ correlation[np.ix_(cut, ~cut)]
     )
-    spread = vectors * np.sqrt(np.maximum(values, 0.0))
-    white = np.empty(points.shape)
-    white[:, cut] = away
-    white[:, ~cut] = away @ slope.T
-    white[:, ~cut] += generator.standard_normal((len(points), len(values))) @ spread.T
-    return np.clip(peak + sd * white, low, high)
+    conditional_root = vectors * np.sqrt(np.maximum(values, 0.0))
+    whitened = np.empty(points.shape)
+    whitened[:, cut] = z
+    whitened[:, ~cut] = z @ slope.T
+    whitened[:, ~cut] += generator.standard_normal((len(points), len(values))) @ conditional_root.T
+    return np.clip(peak + sd * whitened, low, high)
 
 
 def normal_in_box(
@@ -214,11 +213,11 @@ def normal_in_box(
     count: int,
     generator: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (count, d) in a box, roughly those of a normal distribution, and their log density.
+    """Points (count, d) in a box, roughly normally distributed, and their log density.
 
-    One coordinate after the other, first the one whose range holds least of its normal
-    distribution, each normal given those before it and within its range (Geweke 1989, Hajivassiliou
-    and McFadden 1998). The density, up to a constant, is that by which they were drawn.
+    Coordinates are drawn one after the other, each normal given the previous ones and within its
+    range, starting with the one whose range holds least of its normal distribution (Geweke 1989,
+    Hajivassiliou and McFadden 1998). The log density, up to a constant, is that of this sampling.
     """
     from scipy.special import log_ndtr, ndtr
 
@@ -227,18 +226,18 @@ def normal_in_box(
     outside = ndtr((low - peak) / sd) + ndtr((peak - high) / sd)
     order = np.lexsort(((high - low) / sd, -outside))
     root = np.linalg.cholesky(covariance[np.ix_(order, order)])
-    white, log_mass = np.empty((count, peak.size)), np.zeros(count)
+    whitened, log_mass = np.empty((count, peak.size)), np.zeros(count)
     points = np.empty((count, peak.size))
     for k, i in enumerate(order):
-        before = peak[i] + white[:, :k] @ root[k, :k]
-        begin, end = (low[i] - before) / root[k, k], (high[i] - before) / root[k, k]
-        white[:, k] = normal_between(begin, end, generator.random(count))
-        points[:, i] = np.clip(before + root[k, k] * white[:, k], low[i], high[i])
+        mean = peak[i] + whitened[:, :k] @ root[k, :k]
+        begin, end = (low[i] - mean) / root[k, k], (high[i] - mean) / root[k, k]
+        whitened[:, k] = normal_between(begin, end, generator.random(count))
+        points[:, i] = np.clip(mean + root[k, k] * whitened[:, k], low[i], high[i])
         mirrored = begin > -end
         above = log_ndtr(np.where(mirrored, -begin, end))
         below = log_ndtr(np.where(mirrored, -end, begin))
         log_mass += above + np.log1p(-np.exp(below - above))
-    return points, -0.5 * np.sum(white**2, axis=1) - log_mass
+    return points, -0.5 * np.sum(whitened**2, axis=1) - log_mass
 
 
 def normal_between(low: FloatArray, high: FloatArray, share: FloatArray) -> FloatArray:

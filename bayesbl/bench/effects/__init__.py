@@ -1,8 +1,8 @@
 """Catalogue of the effects that a real joint may have and the nominal bench lacks.
 
-Each module of this package declares a family of effects with all their properties; every effect
-found here is in the catalogue. What else the package needs to know about effects it asks here, so
-that no other file holds a list of them. To add one: ``docs/extending.md``.
+Each module of this package declares a family of effects with all their properties. Every effect
+declared here is in the catalogue. The functions here answer all questions about effects, so that no
+other file needs a list of them. To add one: ``docs/extending.md``.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def effect_named(name: str) -> Effect:
 
 
 def with_bench_file_hint(message: str, names: Iterable[str]) -> str:
-    """The message, and how a bench file states those effects that have words of their own there."""
+    """Append how a bench file states those effects that have a form of their own there."""
     known = [EFFECT_BY_NAME[name] for name in dict.fromkeys(names) if name in EFFECT_BY_NAME]
     return " ".join([message, *(effect.in_bench_file for effect in known if effect.in_bench_file)])
 
@@ -72,17 +72,17 @@ _RATES = [
 
 
 def after(matrix: FloatArray, time_s: float) -> FloatArray:
-    """These benches, shape (m, SLOTS), as what changes with time has made them so much later."""
+    """Benches, shape (m, SLOTS), with their parameters as changed after ``time_s`` seconds."""
     matrix = matrix.copy()
     for value, rate in _RATES:
         matrix[:, value] += time_s * matrix[:, rate]
-    in_time = matrix[:, Slot.learned_torque__variable] == OVER_TIME
-    matrix[in_time, Slot.learned_torque__shift] += time_s
+    depends_on_time = matrix[:, Slot.learned_torque__variable] == OVER_TIME
+    matrix[depends_on_time, Slot.learned_torque__shift] += time_s
     return matrix
 
 
 def repeat_each_rotation(matrix: FloatArray) -> bool:
-    """Whether what is on in these benches, shape (m, SLOTS), repeats every load rotation."""
+    """Whether the active effects in these benches, shape (m, SLOTS), repeat every load rotation."""
     if np.any(matrix[:, _NEVER_REPEATING] != 0.0):
         return False
     for amplitude, order in _REPEATING_AT_WHOLE_ORDERS:
@@ -94,43 +94,42 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
     ticks = turn_s / sampled[:, Slot.sampled_control__period_s]
     if np.any(np.abs(ticks - np.round(ticks)) > 1e-6):
         return False
-    shown = matrix[matrix[:, Slot.encoder_error__orders] != 0.0]
-    cycles = 2.0 * np.pi * shown[:, Slot.gear_ratio] / shown[:, Slot.encoder_error__period_rad]
+    erring = matrix[matrix[:, Slot.encoder_error__orders] != 0.0]
+    cycles = 2.0 * np.pi * erring[:, Slot.gear_ratio] / erring[:, Slot.encoder_error__period_rad]
     if np.any(np.abs(cycles - np.round(cycles)) > 1e-9):
         return False
     learned = matrix[matrix[:, Slot.learned_torque__side] != 0.0]
     variable = learned[:, Slot.learned_torque__variable]
-    turn = 2.0 * np.pi / np.maximum(learned[:, Slot.learned_torque__period], 1e-300)
-    turn[variable == OVER_MOTOR_ANGLE] *= learned[variable == OVER_MOTOR_ANGLE, Slot.gear_ratio]
+    cycles = 2.0 * np.pi / np.maximum(learned[:, Slot.learned_torque__period], 1e-300)
+    cycles[variable == OVER_MOTOR_ANGLE] *= learned[variable == OVER_MOTOR_ANGLE, Slot.gear_ratio]
     angular = (variable == OVER_MOTOR_ANGLE) | (variable == OVER_LOAD_ANGLE)
-    whole = angular & (np.abs(turn - np.round(turn)) <= 1e-9)
-    return bool(np.all(whole | (variable == OVER_SPEED)))
+    repeats = angular & (np.abs(cycles - np.round(cycles)) <= 1e-9)
+    return bool(np.all(repeats | (variable == OVER_SPEED)))
 
 
 def sampled_lateness_s(matrix: FloatArray) -> FloatArray:
-    """By which a sampled loop is late: what it differentiates, computes and holds, (m, SLOTS) to
-    (m,)."""
+    """Delay of a sampled loop: differentiation, computation and hold, (m, SLOTS) to (m,)."""
     periods = 1.0 + matrix[:, Slot.sampled_control__delay_periods]
     periods -= 0.5 * matrix[:, Slot.sampled_control__instant_share]
     return np.asarray(periods * matrix[:, Slot.sampled_control__period_s])
 
 
 def turn_with_the_motor(matrix: FloatArray) -> bool:
-    """Whether anything is on in these benches, shape (m, SLOTS), that needs the motor's angle."""
+    """Whether any active effect in these benches, shape (m, SLOTS), needs the motor's angle."""
     learned = matrix[:, Slot.learned_torque__side] != 0.0
     learned &= matrix[:, Slot.learned_torque__variable] == OVER_MOTOR_ANGLE
     learned |= matrix[:, Slot.encoder_error__orders] != 0.0
     return bool(np.any(matrix[:, _WITH_MOTOR_ANGLE] != 0.0) or np.any(learned))
 
 
-# How large a joint is beside the one that the ranges are made for: a motor of 20 N m has ten times
-# the friction of one of 2 N m. What is sought in N m or rad/s goes with torques and speed; angles,
-# times and pure numbers stay as they are.
+# Size of a joint relative to the reference bench, for which the ranges are made: a motor of 20 N m
+# has ten times the friction of one of 2 N m. Ranges in N m or rad/s scale with torques and speed;
+# angles, times and pure numbers do not.
 GRAVITY_TORQUE_NM = 425.0
 SHAFT_STIFFNESS_NM_PER_RAD = 1.2e5
 GEAR_RATIO = 120.0
 REFERENCE_SPEED_RPM = 2000.0
-"""Of the reference bench."""
+"""Values of the reference bench."""
 
 _POWERS = {
     "": (0, 0),
@@ -147,19 +146,18 @@ _POWERS = {
     "rad/s": (0, 1),
     "s/rad": (0, -1),
 }
-"""Of torque and speed in each unit."""
+"""Powers of torque and speed in each unit."""
 
 
 def parameters_on(bench: BenchValues, effect: Effect) -> tuple[EffectParameter, ...]:
-    """An effect's parameters with the ranges, the grid and the usual sizes of a joint."""
+    """An effect's parameters, with search ranges and usual sizes scaled to a joint."""
     return tuple(p.scaled(search_scale(bench, effect, p)) for p in effect.parameters)
 
 
 def search_scale(bench: BenchValues, effect: Effect, parameter: EffectParameter) -> float:
-    """By what the range and the grid of a catalogue's parameter are multiplied on a bench, a pure
-    number: 1 on the reference bench.
+    """Factor on search range and grid of a catalogue parameter; 1 on the reference bench.
 
-    The torque of a joint is that of gravity, or what winds its shaft by as much as on the
+    The torque of a joint is that of gravity, or the torque that winds its shaft as far as on the
     reference bench, whichever is larger: an upright axis has no gravity.
     """
     torque = abs(bench.value("gravity_torque_nm")) / GRAVITY_TORQUE_NM

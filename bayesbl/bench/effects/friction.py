@@ -1,7 +1,7 @@
-"""Friction at the motor, in the gear and at the load, behind the gap.
+"""Friction at the motor, in the gear, and at the load behind the gap.
 
-On a rigid bench friction T at the load is the same law as T/N at the motor, of a viscous
-coefficient b that is b/N².
+On a rigid bench, a friction torque T at the load is equivalent to T/N at the motor, and a viscous
+coefficient b to b/N².
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from bayesbl.bench.effect_declaration import (
     shape,
 )
 
-# At constant speed the current carries T_c/K_t more, with the sign of the direction, and the speed
-# shows nothing: forward and reverse recordings together tell it from an offset, several speeds from
-# viscous friction.
+# At constant speed, the current increases by T_c/K_t, with the sign of the direction, and the speed
+# shows nothing. Forward and reverse recordings together distinguish it from an offset, several
+# speeds from viscous friction.
 MOTOR_COULOMB_FRICTION = Effect(
     place=20,
     name="motor_coulomb_friction",
@@ -38,7 +38,7 @@ MOTOR_COULOMB_FRICTION = Effect(
     free_motion=True,
 )
 
-# Lubricant that is sheared. Recordings at two speeds tell it from Coulomb friction.
+# Sheared lubricant. Recordings at two speeds distinguish it from Coulomb friction.
 MOTOR_VISCOUS_FRICTION = Effect(
     place=30,
     name="motor_viscous_friction",
@@ -58,7 +58,7 @@ MOTOR_VISCOUS_FRICTION = Effect(
     always_in=True,
 )
 
-# Beside another motor friction it takes recordings at three speeds to be seen.
+# Besides another motor friction, it takes recordings at three speeds to show.
 MOTOR_STRIBECK_FRICTION = Effect(
     place=40,
     name="motor_stribeck_friction",
@@ -89,7 +89,7 @@ MOTOR_STRIBECK_FRICTION = Effect(
     free_motion=True,
 )
 
-# Over a few constant speeds it is a viscous friction of another size, so it is not sought there.
+# Resembles viscous friction of another size over a few constant speeds, so is not sought there.
 MOTOR_QUADRATIC_DRAG = Effect(
     place=45,
     name="motor_quadratic_drag",
@@ -111,7 +111,7 @@ MOTOR_QUADRATIC_DRAG = Effect(
     sought_in_loop=False,
 )
 
-# As worn or preloaded gears have it; the mean of the two coefficients is viscous friction.
+# Found in worn or preloaded gears; the mean of the two coefficients is viscous friction.
 FRICTION_ASYMMETRY = Effect(
     place=50,
     name="friction_asymmetry",

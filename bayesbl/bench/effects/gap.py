@@ -1,4 +1,4 @@
-"""The gap: its size where a bench is believed to have none, and over the angle of the load."""
+"""The gap: its size if the bench is assumed to have none, and its variation with the load angle."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def _share(name: str, meaning: str, typical: float) -> EffectParameter:
     return amplitude(name, meaning, low=-0.5, high=0.5, typical=typical, smaller_than=1.0)
 
 
-# Teeth that wear where they work, or run-out. δ is the mean over a load rotation; the shares are
-# zero of a gap that is the same all round.
+# From tooth wear where the teeth work, or from run-out. δ is the mean over a load rotation; the
+# shares are zero if the gap is the same all round.
 GAP_VARIATION = Effect(
     place=15,
     name="gap_variation",

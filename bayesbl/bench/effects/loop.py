@@ -1,4 +1,4 @@
-"""What the speed loop is late by, and what the recorder makes of its channels."""
+"""Delays of the speed loop, and changes of the channels by the recorder."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _LAG = amplitude(
     "time constant T",
     high=0.01,
     typical=1e-3,
-    sought_from=2e-4,  # shorter ones hardly show and cost the simulator tiny steps
+    sought_from=2e-4,  # shorter lags hardly show and cost the simulator tiny steps
 )
 
-# Nearly the same as a lag of the speed sensor together with a skew of the current. A rigid inverse
-# comparison does not see it: the recorded current is the one that flows.
+# Nearly equivalent to a lag of the speed sensor together with a skew of the current. A rigid
+# inverse comparison does not see it, because the recorded current is the actual one.
 CURRENT_LOOP_LAG = Effect(
     place=170,
     name="current_loop_lag",
@@ -33,11 +33,10 @@ CURRENT_LOOP_LAG = Effect(
     data="ringing less damped; current behind speed",
     always_in=True,
     may_change=True,
-    in_nominal=True,  # as late as the drive compensates
+    in_nominal=True,  # up to the lag that the drive compensates
 )
 
-# A filter between the motor and the controller. Nearly the same as a lag of the current loop with a
-# skew.
+# A filter between motor and controller. Nearly equivalent to a lag of the current loop with a skew.
 SPEED_SENSOR_LAG = Effect(
     place=180,
     name="speed_sensor_lag",
@@ -48,20 +47,20 @@ SPEED_SENSOR_LAG = Effect(
     data="ringing less damped; pulse fronts rounded",
     always_in=True,
     may_change=True,
-    in_nominal=True,  # as late as the drive compensates
+    in_nominal=True,  # up to the lag that the drive compensates
 )
 
-# at t = k T:  ω_k = (θ_k − θ_{k−1})/T,  e_k = ω_ref − ω_k,  I_k = I_{k−1} + T e_k
+# At t = k T:  ω_k = (θ_k − θ_{k−1})/T,  e_k = ω_ref − ω_k,  I_k = I_{k−1} + T e_k
 # K_t i = K_p e_k + K_i I_k  held from t = (k + d) T to (k + 1 + d) T
 #
-# The difference lags by half a period, what is held by another half, the computation by d periods:
-# in all about (1 + d) T that the loop is late, and its gain is K_i T/2 higher. A dead time of bus
-# or torque filter is part of d, which may be any number of periods. Drives show speed and current
-# as they are at their ticks, with d above one the mean current from there to the next; a recording
-# begins with a tick. Most simulated controllers, and drives that observe the speed, read it of the
-# instant, T/2 less late: a share s of the instant's speed, 1 − s of the difference. A delay below
-# none adds twice its size to the share: at d = −1 the speed is ahead by what it is held, and the
-# loop is not late.
+# The difference lags by half a period, the hold by another half, the computation by d periods. The
+# loop is late by about (1 + d) T in all, and its gain is K_i T/2 higher. A dead time of bus or
+# torque filter is part of d, which may be any number of periods. Drives report speed and current at
+# their ticks, for d above one the mean current until the next tick; a recording begins with a tick.
+# Most simulated controllers, and drives with a speed observer, use the instantaneous speed, which
+# is T/2 less late: a share s of the instantaneous speed and 1 − s of the difference. A negative
+# delay adds twice its size to the share: at d = −1 the speed leads by as much as the hold delays,
+# and the loop is not late.
 SAMPLED_CONTROL = Effect(
     place=195,
     name="sampled_control",
@@ -74,7 +73,7 @@ SAMPLED_CONTROL = Effect(
             "period T of the speed controller",
             high=4e-3,
             typical=1e-3,
-            sought_from=1e-4,  # at the usual noise shorter ones do not show, and cost time
+            sought_from=1e-4,  # shorter periods do not show at the usual noise, and cost time
         ),
         shape(
             "delay_periods",
@@ -83,8 +82,8 @@ SAMPLED_CONTROL = Effect(
             typical=1.0,
             neutral=1.0,
             bounded=True,
-            # At 0 the torque is out at once, which no slope leads to. Then each four times as far,
-            # as the periods that a search tries: dead times from 0.4 to 14 ms.
+            # At 0 the torque acts at once, a value that no slope leads to. Then factors of four,
+            # like the periods that a search tries: dead times from 0.4 to 14 ms.
             starts=(0.0, 4.0, 16.0),
         ),
         shape(
@@ -113,9 +112,9 @@ def _skew(name: str, typical: float) -> EffectParameter:
     )
 
 
-# As filters and buses differ. All channels together are a start angle in disguise, so a search in
-# the loop frees the current's alone. In a rigid comparison the skew moves the motion, not the
-# signal: its law adds nothing.
+# Caused by different filters and buses. A skew of all channels together is equivalent to a start
+# angle, so a search in the loop frees only that of the current. In a rigid comparison, the skew
+# shifts the motion, not the signal: its law adds nothing.
 CHANNEL_TIME_SKEW = Effect(
     place=200,
     name="channel_time_skew",
@@ -133,8 +132,9 @@ CHANNEL_TIME_SKEW = Effect(
     may_change=True,
 )
 
-# An encoder that is differentiated shows it, with T its sampling period, and a trace that the drive
-# smooths. The controller does not see it. It lowers the ringing, and the gap that is read from it.
+# It occurs with a differentiated encoder, where T is the sampling period, and with a trace that the
+# drive smooths. The controller does not see it. It lowers the ringing, and with it the apparent
+# gap.
 SPEED_AVERAGING = Effect(
     place=205,
     name="speed_averaging",
@@ -146,7 +146,7 @@ SPEED_AVERAGING = Effect(
             "time T that the speed is averaged over",
             high=0.02,
             typical=4e-3,
-            sought_from=2e-4,  # shorter ones do not show
+            sought_from=2e-4,  # shorter times do not show
         ),
     ),
     enters="measurement",

@@ -17,7 +17,7 @@ from bayesbl.bench.effect_declaration import (
 )
 from bayesbl.recording.types import FloatArray
 
-# Felt only while the teeth touch. It repeats with the load only if the gear ratio times n is whole.
+# Acts only while the teeth touch. Repeats with the load only if the gear ratio times n is whole.
 GEAR_TRANSMISSION_ERROR = Effect(
     place=130,
     name="gear_transmission_error",
@@ -43,14 +43,14 @@ GEAR_TRANSMISSION_ERROR = Effect(
 
 
 def torque_nm(motion: RigidMotion, bench: BenchValues, given: Parameters) -> FloatArray:
-    """What is taken for acceleration and is not: the encoder's sway, differentiated as the rest."""
+    """Apparent torque: the encoder's sway, which differentiation mistakes for acceleration."""
     ratio = bench.value("gear_ratio")
     inertia = bench.value("motor_inertia_kg_m2") + bench.value("load_inertia_kg_m2") / ratio**2
     sway = (motion.sway * np.exp(1j * given[PHASE])).imag
     return np.asarray(-inertia * given["angle_rad"] * sway)
 
 
-# The disc sits off the shaft's centre. Inside the loop: the controller answers what it shows.
+# The disc is off the shaft's centre. The error is inside the loop: the controller responds to it.
 ENCODER_ECCENTRICITY = Effect(
     place=140,
     name="encoder_eccentricity",

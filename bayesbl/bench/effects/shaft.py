@@ -1,7 +1,7 @@
 """Shaft and tooth flanks; e is the compression beyond the gap.
 
-A rigid bench has neither, so these have no law there but hysteresis, which shows as twist between
-motor and load.
+A rigid bench has neither, so these effects have no law there except hysteresis, which shows as
+twist between motor and load.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ STIFFNESS_HARDENING = Effect(
     always_in=True,
 )
 
-# As curved surfaces of steel do: the flank's torque goes with e^(1+m), m is 0.11 for a line contact
-# (roller bearings, teeth) and 0.5 for a point contact (ball bearings); in series with shafts it is
-# less. K_s is the stiffness at gravity's largest torque, or at e₀ = 1 mrad on an axis without
-# gravity.
+# As for curved surfaces of steel: the flank's torque is proportional to e^(1+m). m is 0.11 for a
+# line contact (roller bearings, teeth) and 0.5 for a point contact (ball bearings), and less in
+# series with shafts. K_s is the stiffness at the largest torque of gravity, or at e₀ = 1 mrad on an
+# axis without gravity.
 CONTACT_EXPONENT = Effect(
     place=152,
     name="contact_exponent",
@@ -46,9 +46,9 @@ CONTACT_EXPONENT = Effect(
     reference="Palmgren 1959, Ball and Roller Bearing Engineering; Hertz 1882",
 )
 
-# Teeth meet one after another, and flanks are not smooth. Contact begins earlier and is softer at
-# first; far from the edge nothing changes, so δ stays where the straight flank meets zero torque.
-# The damper acts as the mean does.
+# Teeth meet one after another, and flanks are not smooth. Contact begins earlier and softer. Far
+# from the edge nothing changes, so δ stays where the extrapolated straight flank has zero torque.
+# The damper acts in proportion to the mean contact.
 CONTACT_SOFTNESS = Effect(
     place=153,
     name="contact_softness",
@@ -63,7 +63,7 @@ CONTACT_SOFTNESS = Effect(
     in_nominal=True,  # the arctan form is soft itself
 )
 
-# Teeth that have just met damp nothing yet, as the shaft's own D_s does at once.
+# Teeth that have just met damp nothing yet, whereas the shaft's D_s acts at once.
 CONTACT_DAMPING = Effect(
     place=157,
     name="contact_damping",
@@ -81,8 +81,8 @@ CONTACT_DAMPING = Effect(
     always_in=True,
 )
 
-# The damper D_s in parallel with the spring pulls at teeth that part, until the spring is slack. A
-# dry flank cannot pull: it lets go where both balance, a little before.
+# The damper D_s, parallel to the spring, pulls on parting teeth until the spring is slack. A dry
+# flank cannot pull: it releases slightly earlier, where both balance.
 CONTACT_RELEASE = Effect(
     place=154,
     name="contact_release",
@@ -98,7 +98,7 @@ CONTACT_RELEASE = Effect(
     always_in=True,
 )
 
-# A film of lubricant between the flanks, or a damper beside the gear, works where no teeth touch.
+# A film of lubricant between the flanks, or a damper beside the gear, acts where no teeth touch.
 GAP_DAMPING = Effect(
     place=158,
     name="gap_damping",
@@ -119,8 +119,8 @@ GAP_DAMPING = Effect(
     always_in=True,
 )
 
-# As asymmetric or unevenly worn teeth have them: stiffer by the share a where the shaft drives the
-# load forward, and softer by as much where it drives backward.
+# For asymmetric or unevenly worn teeth: stiffer by the share a where the shaft drives the load
+# forward, and softer by the same share where it drives it backward.
 FLANK_ASYMMETRY = Effect(
     place=155,
     name="flank_asymmetry",

@@ -25,9 +25,9 @@ def _damping(symbol: str, high: float, typical: float) -> EffectParameter:
 # b = θ_m − θ_r,   τ_b = (b + t_b ḃ)/c_b
 # (1 − s) J_m dω_m/dt = K_t i − τ_b,   s J_m dω_r/dt = τ_b − τ_s/N
 #
-# The gear is turned by θ_r, the encoder shows θ_m. J_m is the whole inertia on the fast side,
-# pulleys and the reducer's input included, of which the share s is behind the belt: a belt that
-# does not stretch leaves the bench as it was.
+# θ_r drives the gear, the encoder shows θ_m. J_m is the whole inertia on the fast side, including
+# pulleys and the reducer's input, of which the share s is behind the belt. A belt that does not
+# stretch leaves the bench unchanged.
 BELT = Effect(
     place=101,
     name="belt",
@@ -104,9 +104,9 @@ ARM = Effect(
     in_bench_file="[arm] with stiffness_nm_per_rad and inertia_kg_m2 says the same.",
 )
 
-# What motor and gear push off from moves. All angles of the joint are those against its housing,
-# which is turned by θ_f; gravity acts at the load's absolute angle, and both inertias are turned
-# with the housing.
+# The base, against which motor and gear react, moves. All angles of the joint are relative to its
+# housing, which turns by θ_f. Gravity acts at the load's absolute angle, and both inertias are
+# accelerated with the housing.
 BASE = Effect(
     place=103,
     name="base",

@@ -1,4 +1,4 @@
-"""Torques that are no friction: constant ones, gravity from another side, cogging."""
+"""Torques that are not friction: constant ones, a shifted gravity, cogging."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from bayesbl.bench.effect_declaration import (
     phase,
 )
 
-# A spring, a cable, a current sensor that does not read zero. Forward and reverse recordings
-# together tell it from friction.
+# From a spring, a cable, or a current sensor with an offset. Forward and reverse recordings
+# together distinguish it from friction.
 MOTOR_TORQUE_OFFSET = Effect(
     place=60,
     name="motor_torque_offset",
@@ -37,8 +37,8 @@ MOTOR_TORQUE_OFFSET = Effect(
     free_motion=True,
 )
 
-# A weight on a cable, a spring, wind. It moves the two pulses of a rotation towards each other or
-# apart, whichever way the load turns.
+# From a weight on a cable, a spring, or wind. It moves the two pulses of a rotation towards each
+# other or apart, whichever way the load turns.
 LOAD_TORQUE_OFFSET = Effect(
     place=90,
     name="load_torque_offset",
@@ -59,8 +59,8 @@ _AT_LOAD: Law = lambda motion, bench, given: (  # noqa: E731
     given["torque_nm"] * np.cos(motion.angle / bench.value("gear_ratio"))
 )
 
-# The link does not hang straight down where the load angle is zero. With m g l sin θ_l it is one
-# sine, shifted: a start angle in disguise unless the load angle is known.
+# The link does not hang straight down where the load angle is zero. Added to m g l sin θ_l it gives
+# one shifted sine: equivalent to a start angle unless the load angle is known.
 GRAVITY_PHASE = Effect(
     place=100,
     name="gravity_phase",
@@ -82,7 +82,7 @@ GRAVITY_PHASE = Effect(
     free_motion=True,
 )
 
-# Cogging of the magnets, errors of the current sensors. It repeats with the load only if the gear
+# Cogging of the magnets, errors of the current sensors. Repeats with the load only if the gear
 # ratio times n is whole.
 MOTOR_TORQUE_RIPPLE = Effect(
     place=120,
