@@ -23,6 +23,9 @@ from bayesbl.recording.types import FloatArray
 
 Kind = Literal["effect", "parameter"]
 
+CandidateKey = tuple[str, float | None, tuple[str, ...]]
+"""Label, motor order, and the names of the unknowns."""
+
 HARMONICS = (2.0, 3.0, 4.0)
 """Multiples of an order that may be its harmonics. Eccentricities and ripples have harmonics."""
 
@@ -85,9 +88,9 @@ class Candidate:
         return None if order is None else order.value
 
     @property
-    def key(self) -> tuple[str, float | None]:
-        """Key that identifies a candidate: label and order."""
-        return self.label, self.order
+    def key(self) -> CandidateKey:
+        """Key that identifies a candidate."""
+        return self.label, self.order, tuple(unknown.name for unknown in self.unknowns)
 
     @property
     def unknown_keys(self) -> frozenset[tuple[str, str | None]]:

@@ -36,7 +36,7 @@ from bayesbl.model_search.always_in import (
     common_unknowns,
     linearised_fit,
 )
-from bayesbl.model_search.catalogue import Candidate
+from bayesbl.model_search.catalogue import Candidate, CandidateKey
 from bayesbl.model_search.constants import (
     FORM_SHARE,
     HOPEFUL_SHARE,
@@ -273,8 +273,8 @@ class SetSearch:
         # All sets share the recorder's noise, and its simulation is expensive.
         self._noise = noise_in_loop(nominal.fit)
         self._candidates = {c.key: c for c in candidates(motor_orders(nominal.fit))}
-        self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
-        self._explored: set[frozenset[tuple[str, float | None]]] = set()
+        self._sets: dict[frozenset[CandidateKey], FittedSet] = {}
+        self._explored: set[frozenset[CandidateKey]] = set()
         # The initial number of hypotheses: later ones do not change the odds.
         labels = {c.label for c in self._candidates.values()}
         self._probability = even_probability(len(labels))
@@ -465,7 +465,7 @@ class SetSearch:
             for terms, p in posterior.sets.items()
             if len(terms) == 2 and offset + posterior.log_evidence + math.log(p) > best
         ]
-        tried: set[frozenset[tuple[str, float | None]]] = set()
+        tried: set[frozenset[CandidateKey]] = set()
         for terms in (*contenders, *pairs[:1]):
             added = [view.terms[i].source for i in terms]
             extended_keys = keys | {candidate.key for candidate, _ in added}
@@ -517,7 +517,7 @@ class SetSearch:
     def _linearised(self, explanation: Explanation) -> Linearised:
         """The view at a fit: one term for each compatible candidate and start."""
         terms: list[Term] = []
-        simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
+        simulated: dict[CandidateKey, list[list[FloatArray]]] = {}
         for candidate in self._candidates.values():
             if any(member.bars(candidate) for member in explanation.candidates):
                 continue
@@ -545,7 +545,7 @@ class SetSearch:
         self,
         fit: SimulatedFit,
         candidate: Candidate,
-        simulated: dict[tuple[str, float | None], list[list[FloatArray]]],
+        simulated: dict[CandidateKey, list[list[FloatArray]]],
     ) -> list[list[FloatArray]]:
         """Columns of a candidate; in one recording only, rows of the shared effect's columns.
 
@@ -553,7 +553,7 @@ class SetSearch:
         """
         if candidate.recording is None or candidate.is_periodic:
             return columns_of(fit, candidate)
-        key = candidate.name, candidate.order
+        key = candidate.name, *candidate.key[1:]
         if key not in simulated:
             # In this recording, its own unknowns and shared ones make the same change.
             shared = tuple(replace(u, recording=None) for u in candidate.unknowns)

@@ -14,7 +14,7 @@ from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.signals import SimulatedSignals
-from bayesbl.model_search.catalogue import Candidate
+from bayesbl.model_search.catalogue import Candidate, CandidateKey
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import FloatArray
@@ -45,7 +45,7 @@ class Explanation:
         return tuple(c.label for c in self.candidates)
 
     @property
-    def keys(self) -> frozenset[tuple[str, float | None]]:
+    def keys(self) -> frozenset[CandidateKey]:
         """Key that identifies the set."""
         return frozenset(c.key for c in self.candidates)
 

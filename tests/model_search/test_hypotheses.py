@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayesbl.bench.bench import BenchEffect, EffectParameterValue
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 from bayesbl.model_search.catalogue import candidates
+from bayesbl.model_search.joint_change import _own_effects
 from bayesbl.model_search.refit import Explanation
 
 
@@ -23,6 +25,16 @@ def test_candidates_of_one_name_are_told_apart() -> None:
     ripples = [c for c in found if c.name == "motor_torque_ripple"]
     assert len({c.key for c in ripples}) == 3
     assert [found.index(c) for c in ripples] == [i for i, c in enumerate(found) if c in ripples]
+
+
+def test_every_parameter_of_an_effect_may_have_changed() -> None:
+    """A search keeps candidates by their keys: none may replace another."""
+    control = BenchEffect("sampled_control", {"period_s": EffectParameterValue(1e-3)})
+    changed = _own_effects(reference_bench().with_effects(control))
+    by_key = {candidate.key: candidate for candidate in changed}
+    names = {unknown.name for candidate in by_key.values() for unknown in candidate.unknowns}
+    parameters = ("period_s", "delay_periods", "instant_share")
+    assert names == {f"sampled_control__{parameter}" for parameter in parameters}
 
 
 def test_explanations_by_the_same_names_are_told_apart() -> None:
