@@ -481,7 +481,8 @@ class Model:
         # Of a lag that follows the load's own readings: it follows their noise too.
         self.visible = VISIBLE * float(paths.scatter_rad + paths.load_step_rad)
         self.measured_lag = design.motor_rad - design.load_rad
-        self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.measured_lag)
+        as_read = np.eye(design.sd.size)
+        self.reference = Cell(0, 0.0, -1e9, as_read[1], as_read, self.measured_lag)
         self.counted = 1.0
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
         # By the torque: the friction, and how often the load's weight is above it.
@@ -497,6 +498,10 @@ class Model:
         other = self.design.columns(cell.lag) @ rest
         self.measured_lag = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
         self.reference = cell
+
+    def centre_lag(self) -> None:
+        """Take the middle of what was measured for the middle of the play."""
+        self.measured_lag -= np.mean(np.quantile(self.measured_lag, ENDS))
 
     def lag(self, course: int, half_rad: float) -> FloatArray:
         """s at every sample."""
@@ -610,9 +615,19 @@ class Model:
         return 1.0 + common / max(common + within, 1e-300) * (often - 1.0)
 
     def profiled(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
-        """The cell with noise of about the size of what it leaves."""
-        residual = self.residual(self.cell(course, half_rad, first))
-        jumps = 1.05 * float(np.median(np.abs(np.diff(residual))))
+        """The cell with noise of about the size of what it leaves: on the flanks, of a load that
+        goes its own way. A large play makes more of it than a gap can be seen in, if that is first
+        taken for drift.
+        """
+        if self.courses[course].free:
+            least = 0.5 * half_rad / VISIBLE
+            white, drift = min(first.white_rad, least), min(first.drift_rad, least)
+            first = replace(first, white_rad=white, drift_rad=drift)
+        cell = self.cell(course, half_rad, first)
+        residual = self.residual(cell)
+        if self.courses[course].free and np.any(on_flank := np.abs(cell.lag) >= half_rad):
+            residual = residual[on_flank]
+        jumps = 1.05 * float(np.median(np.abs(np.diff(residual)))) if residual.size > 1 else 0.0
         spread = 1.5 * float(np.median(np.abs(residual)))
         noise = Noise(max(jumps, LEAST_RAD), max(spread, LEAST_RAD), first.drift_s, first.curve_rad)
         return noise, self.cell(course, half_rad, noise)
@@ -821,15 +836,15 @@ def fit_transmission(
         late = _settled(channels, replace(at, skew_s=skew, skew_sd_s=LATE_S), report)
         if late[2].log_evidence > best.log_evidence:
             model, free, best = late
-    # A load that goes its own way is tried last: it would follow any other skew and ratio too.
+    # A load that goes its own way is tried last: it would follow any other skew and ratio too. A
+    # large play bends those of all other courses, so it is also tried as the recording has it.
     model.measure_lag(best)
-    freely = next(i for i, how in enumerate(model.courses) if how.free)
-    for _ in range(2):
-        fitted, own = model.fitted(*_searched(model, free, freely))
-        # What it follows is then seen by its own skew and ratio, whether it is the best or not yet.
-        model.measure_lag(own)
+    as_read = _model(channels, replace(at, slope=slope, skew_s=0.0))
+    as_read.centre_lag()
+    for here in (model, as_read):
+        fitted, own = _own_way(here, free)
         if own.log_evidence > best.log_evidence:
-            free, best = fitted, own
+            model, free, best = here, fitted, own
     model.measure_lag(best)
     report(MOST_ROUNDS, MOST_ROUNDS + 1)
     free, best = model.fitted(best.course, best.half_rad, free)
@@ -844,6 +859,23 @@ def fit_transmission(
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
     return _drawn(model, best, lists, free, generator, of_joint)
+
+
+def _own_way(model: Model, noise: Noise) -> tuple[Noise, Cell]:
+    """With a load that goes its own way between the flanks, as it was measured.
+
+    Where it is on them shows by which offset, skew and ratio it was measured: until they agree.
+    """
+    freely = next(i for i, how in enumerate(model.courses) if how.free)
+    best = None
+    for _ in range(MOST_ROUNDS):
+        fitted, own = model.fitted(*_searched(model, noise, freely))
+        if best is not None and own.log_evidence < best[1].log_evidence + 1.0:
+            break
+        best = fitted, own
+        model.measure_lag(own)
+    assert best is not None
+    return best
 
 
 def _model(channels: Channels, at: Scaling) -> Model:
