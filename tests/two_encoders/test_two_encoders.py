@@ -445,6 +445,21 @@ def test_a_motor_that_a_fast_load_drags_and_that_coasts_shows_the_play(drag):
     assert low <= 0.04 <= high
 
 
+def test_passages_at_one_speed_do_not_tell_a_skew_from_a_load_that_coasts():
+    generator = np.random.default_rng(3)
+    step, half, speed = 2e-3, 0.0346, 0.17
+    turns = generator.choice([-1.0, 1.0], 72).repeat(round(1.146 / step))
+    smooth = np.convolve(turns, np.ones(25) / 25.0, "same")
+    path = speed * step * np.cumsum(smooth)
+    time = step * np.arange(path.size)
+    load = path - load_lag(path, speed * smooth, time, half, 2.6, 0.0)
+    count = 2.0 * np.pi / 1024
+    channels = Channels(time[::5], RATIO * path[::5], count * np.floor(load[::5] / count))
+    found = fitted(channels)
+    low, high = bounds(found.draws["lost_motion_rad"], 0.99)
+    assert low <= 2.0 * half <= high
+
+
 def test_a_wide_gap_is_seen_even_if_it_was_taken_for_drift_before():
     time, half = 0.01 * np.arange(4000), 0.3
     hand = np.sin(2.0 * np.pi * 0.23 * time) + 0.4 * np.sin(2.0 * np.pi * 0.31 * time)
