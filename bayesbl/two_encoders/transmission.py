@@ -571,7 +571,9 @@ class Model:
         side = np.where(np.abs(lag) < TOUCHES * half, 0.0, np.sign(lag))
         near = np.convolve(np.diff(side) != 0.0, np.ones(4))[1:-1] + (side == 0.0) > 0.0
         passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
-        return Final(misfit_rad, half, passages * (COMMON * half) ** 2 * near)
+        # A load that rests there has the same count at each turn at the same place.
+        common = (COMMON * half) ** 2 + self.paths.load_step_rad**2 / 12.0
+        return Final(misfit_rad, half, passages * common * near)
 
     def misfit(self, noise: Noise) -> float:
         """What lasts for a stroke, and white noise beyond twice that of readings, rad."""
