@@ -481,7 +481,8 @@ class Model:
         # Of a lag that follows the load's own readings: it follows their noise too.
         self.visible = VISIBLE * float(paths.scatter_rad + paths.load_step_rad)
         self.measured_lag = design.motor_rad - design.load_rad
-        self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.measured_lag)
+        as_read = np.eye(design.sd.size)
+        self.reference = Cell(0, 0.0, -1e9, as_read[1], as_read, self.measured_lag)
         self.counted = 1.0
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
         # By the torque: the friction, and how often the load's weight is above it.
@@ -497,6 +498,10 @@ class Model:
         other = self.design.columns(cell.lag) @ rest
         self.measured_lag = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
         self.reference = cell
+
+    def centre_lag(self) -> None:
+        """Take the middle of what was measured for the middle of the play."""
+        self.measured_lag -= np.mean(np.quantile(self.measured_lag, ENDS))
 
     def lag(self, course: int, half_rad: float) -> FloatArray:
         """s at every sample."""
@@ -566,7 +571,9 @@ class Model:
         side = np.where(np.abs(lag) < TOUCHES * half, 0.0, np.sign(lag))
         near = np.convolve(np.diff(side) != 0.0, np.ones(4))[1:-1] + (side == 0.0) > 0.0
         passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
-        return Final(misfit_rad, half, passages * (COMMON * half) ** 2 * near)
+        # A load that rests there has the same count at each turn at the same place.
+        common = (COMMON * half) ** 2 + self.paths.load_step_rad**2 / 12.0
+        return Final(misfit_rad, half, passages * common * near)
 
     def misfit(self, noise: Noise) -> float:
         """What lasts for a stroke, and white noise beyond twice that of readings, rad."""
@@ -610,9 +617,19 @@ class Model:
         return 1.0 + common / max(common + within, 1e-300) * (often - 1.0)
 
     def profiled(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
-        """The cell with noise of about the size of what it leaves."""
-        residual = self.residual(self.cell(course, half_rad, first))
-        jumps = 1.05 * float(np.median(np.abs(np.diff(residual))))
+        """The cell with noise of about the size of what it leaves: on the flanks, of a load that
+        goes its own way. A large play makes more of it than a gap can be seen in, if that is first
+        taken for drift.
+        """
+        if self.courses[course].free:
+            least = 0.5 * half_rad / VISIBLE
+            white, drift = min(first.white_rad, least), min(first.drift_rad, least)
+            first = replace(first, white_rad=white, drift_rad=drift)
+        cell = self.cell(course, half_rad, first)
+        residual = self.residual(cell)
+        if self.courses[course].free and np.any(on_flank := np.abs(cell.lag) >= half_rad):
+            residual = residual[on_flank]
+        jumps = 1.05 * float(np.median(np.abs(np.diff(residual)))) if residual.size > 1 else 0.0
         spread = 1.5 * float(np.median(np.abs(residual)))
         noise = Noise(max(jumps, LEAST_RAD), max(spread, LEAST_RAD), first.drift_s, first.curve_rad)
         return noise, self.cell(course, half_rad, noise)
@@ -813,37 +830,104 @@ def fit_transmission(
     paths, at = scaled_paths(channels, slope), Scaling(slope, slope, stated)
     if has_one_speed(paths):
         at = replace(at, edge_s=min(LONGEST_SKEW_S, EDGE * float(np.ptp(paths.time_s))))
-    model, free, best = _settled(channels, at, report)
+    starts = [_settled(channels, at, report)]
     if at.edge_s:
         # At one speed a skew makes the lag of a play: another fit begins with all of it as skew.
-        usual_speed = float(np.std(model.paths.binned(model.paths.speed)))
-        skew = min(model.paths.skew_s + best.half_rad / usual_speed, at.edge_s)
-        late = _settled(channels, replace(at, skew_s=skew, skew_sd_s=LATE_S), report)
-        if late[2].log_evidence > best.log_evidence:
-            model, free, best = late
-    # A load that goes its own way is tried last: it would follow any other skew and ratio too.
-    model.measure_lag(best)
-    freely = next(i for i, how in enumerate(model.courses) if how.free)
-    for _ in range(2):
-        fitted, own = model.fitted(*_searched(model, free, freely))
-        # What it follows is then seen by its own skew and ratio, whether it is the best or not yet.
-        model.measure_lag(own)
-        if own.log_evidence > best.log_evidence:
-            free, best = fitted, own
-    model.measure_lag(best)
+        first, _, best = starts[0]
+        usual_speed = float(np.std(first.paths.binned(first.paths.speed)))
+        skew = min(first.paths.skew_s + best.half_rad / usual_speed, at.edge_s)
+        late = replace(at, skew_s=skew, skew_sd_s=LATE_S)
+        starts.append(_settled(channels, late, report))
+    as_read = replace(at, slope=slope, skew_s=0.0)
+    own = [_with_own_way(channels, as_read, start) for start in starts]
     report(MOST_ROUNDS, MOST_ROUNDS + 1)
-    free, best = model.fitted(best.course, best.half_rad, free)
+    # Their evidence is compared with the same misfit, on the way as well: all have the same bins.
+    finals = [model.final(best, model.misfit(noise)) for model, noise, best in own]
+    misfit = max(final.misfit_rad for final in finals)
+    passing = np.max([final.passing for final in finals], axis=0)
+    finals = [replace(final, misfit_rad=misfit, passing=passing) for final in finals]
+    found = [
+        _answered(*each, final, seed, of_joint) for each, final in zip(own, finals, strict=True)
+    ]
+    return _mixed(found[0], found[-1], seed) if at.edge_s else found[0][0]
+
+
+def _with_own_way(
+    channels: Channels, at: Scaling, start: tuple[Model, Noise, Cell]
+) -> tuple[Model, Noise, Cell]:
+    """The best course, with a load that goes its own way."""
+    model, free, best = start
+    # A load that goes its own way is tried last: it would follow any other skew and ratio too. A
+    # large play bends those of all other courses, so it is also tried as the recording has it.
+    model.measure_lag(best)
+    as_read = _model(channels, at)
+    as_read.centre_lag()
+    for here in (model, as_read):
+        fitted, own = _own_way(here, free)
+        if own.log_evidence > best.log_evidence:
+            model, free, best = here, fitted, own
+    model.measure_lag(best)
+    return model, *model.fitted(best.course, best.half_rad, free)
+
+
+def _answered(
+    model: Model,
+    free: Noise,
+    best: Cell,
+    final: Final,
+    seed: np.random.SeedSequence,
+    of_joint: np.random.SeedSequence,
+) -> tuple[Transmission, float]:
+    """The answer about the best course, and its log evidence in the end."""
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
     model.counted = model.repeats(best)
     noises = [model.again(noise), model.again(free)]
     sharp = _refined(model, range(len(model.courses)), best, noises, None)
     whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
-    likely = sorted({sharp[i].course for i in np.flatnonzero(whole > whole.max() - UNLIKELY)})
-    final = model.final(best, model.misfit(free))
+    # Passages at one speed are alike: their number does not tell which course the load takes.
+    least = -np.inf if has_one_speed(model.paths) else whole.max() - UNLIKELY
+    likely = sorted({sharp[i].course for i in np.flatnonzero(whole >= least)})
     model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
-    return _drawn(model, best, lists, free, generator, of_joint)
+    evidence = logsumexp(_log_masses(lists[1], np.zeros(len(lists[1])), model))
+    return _drawn(model, best, lists, free, generator, of_joint), float(evidence)
+
+
+def _mixed(
+    usual: tuple[Transmission, float],
+    late: tuple[Transmission, float],
+    seed: np.random.SeedSequence,
+) -> Transmission:
+    """Draws of two answers by their evidence: all passages at one speed are alike, and tell only
+    once which skew is the right one. What no draws say is of the likelier.
+    """
+    share = 1.0 / (1.0 + np.exp(np.clip(usual[1] - late[1], -700.0, 700.0)))
+    is_late = np.random.default_rng(seed.spawn(1)[0]).uniform(size=DRAWS) < share
+    first, second = usual[0].draws, late[0].draws
+    draws = {k: np.where(is_late, second[k], first[k]) for k in first if k in second}
+    return replace(
+        late[0] if share > 0.5 else usual[0],
+        draws=draws,
+        probability_of_play=float(np.mean(draws["delta_rad"] > 0.0)),
+    )
+
+
+def _own_way(model: Model, noise: Noise) -> tuple[Noise, Cell]:
+    """With a load that goes its own way between the flanks, as it was measured.
+
+    Where it is on them shows by which offset, skew and ratio it was measured: until they agree.
+    """
+    freely = next(i for i, how in enumerate(model.courses) if how.free)
+    best = None
+    for _ in range(MOST_ROUNDS):
+        fitted, own = model.fitted(*_searched(model, noise, freely))
+        if best is not None and own.log_evidence < best[1].log_evidence + 1.0:
+            break
+        best = fitted, own
+        model.measure_lag(own)
+    assert best is not None
+    return best
 
 
 def _model(channels: Channels, at: Scaling) -> Model:
@@ -1097,7 +1181,8 @@ def _drawn(
     for mine, masses, wide in zip((~plays, plays), sharp, blunt, strict=True):
         courses = (c.course for c in by_noise[:-1])
         known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
-        wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
+        if not has_one_speed(model.paths):
+            wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
         weights = np.exp(wide - logsumexp(wide))
         interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
     share = generator.uniform(size=count)

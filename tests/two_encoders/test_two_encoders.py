@@ -13,6 +13,9 @@ from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
 from bayesbl.two_encoders.transmission import (
     FRICTION_SPREAD,
     LOGITS,
+    Noise,
+    Scaling,
+    _model,
     drawn_parts,
     fit_transmission,
     has_one_speed,
@@ -440,6 +443,33 @@ def test_a_motor_that_a_fast_load_drags_and_that_coasts_shows_the_play(drag):
     channels = Channels(time[::10], RATIO * motor[::10], step * np.round(load[::10] / step))
     low, high = bounds(fitted(channels).draws["play_rad"], 0.99)
     assert low <= 0.04 <= high
+
+
+def test_passages_at_one_speed_do_not_tell_a_skew_from_a_load_that_coasts():
+    generator = np.random.default_rng(3)
+    step, half, speed = 2e-3, 0.0346, 0.17
+    turns = generator.choice([-1.0, 1.0], 72).repeat(round(1.146 / step))
+    smooth = np.convolve(turns, np.ones(25) / 25.0, "same")
+    path = speed * step * np.cumsum(smooth)
+    time = step * np.arange(path.size)
+    load = path - load_lag(path, speed * smooth, time, half, 2.6, 0.0)
+    count = 2.0 * np.pi / 1024
+    channels = Channels(time[::5], RATIO * path[::5], count * np.floor(load[::5] / count))
+    found = fitted(channels)
+    low, high = bounds(found.draws["lost_motion_rad"], 0.99)
+    assert low <= 2.0 * half <= high
+
+
+def test_a_wide_gap_is_seen_even_if_it_was_taken_for_drift_before():
+    time, half = 0.01 * np.arange(4000), 0.3
+    hand = np.sin(2.0 * np.pi * 0.23 * time) + 0.4 * np.sin(2.0 * np.pi * 0.31 * time)
+    load = hand + 1e-4 * np.random.default_rng(7).standard_normal(time.size)
+    goes_home = np.sign(hand) * np.maximum(np.abs(hand) - half, 0.0)
+    model = _model(Channels(time, goes_home, load), Scaling(1.0, 1.0, True))
+    freely = next(k for k, course in enumerate(model.courses) if course.free)
+    model.measure_lag(model.fitted(0, 0.0, Noise(1e-3, 0.2, 2.0, 1e-3))[1])
+    noise, cell = model.fitted(freely, half, Noise(1e-3, 0.2, 2.0, 1e-3))
+    assert cell.log_evidence > model.fitted(0, 0.0, noise)[1].log_evidence
 
 
 def test_a_wide_lag_that_no_course_follows_is_not_told_as_none():
