@@ -270,7 +270,11 @@ def _demand(y, p, phase, asked):
 
 @_jit
 def _work(step, each, y, p, phase, asked):
-    """What a digital controller does at the begin of a step; a tick is every ``each`` steps."""
+    """What a digital controller does at the begin of a step; a tick is every ``each`` steps.
+
+    It logs the torque that acts at the tick, of a delay up to a period one period old. The package
+    takes what is logged to be as old as the delay.
+    """
     if each == 0:
         return
     since = step % each

@@ -336,8 +336,7 @@ def reason_of(result: Identification) -> str | None:
         return (
             "No values within the tolerances, no single value beyond them and no effect of the "
             "catalogue explain these recordings: the bench lacks something that the joint has, "
-            "several values of the data sheet are wrong, or the gap was not the same in all "
-            "recordings (give their dates). "
+            "or several values of the data sheet are wrong. "
             f"{left_over(result.check)} Check the data sheet, or widen its tolerances."
         )
     if result.posterior.diagnostics.outcome == "withheld":

@@ -45,7 +45,8 @@ from bayesbl.units import (
 
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
-        TIME: "t time timestamp stamp zeit temps tempo clock sample samples",
+        TIME: "t time timestamp stamp zeit uhrzeit temps tempo tijd clock elapsed runtime ts "
+        "sample samples",
         MOTOR_SPEED: "speed velocity vel velo omega w rpm erpm drehzahl n dq qd qvel",
         MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q qpos aipos "
         "twist torsion deflection displacement messuhr",
@@ -668,10 +669,10 @@ def _channel(column: _Named) -> str | None:
     # What stands before a point is a part of the drive: axis0.pos_vel_mapper.pos_rel. A letter
     # beside a word is its unit or its axis: force_N.
     last = _words(column.stated.bare.rpartition(".")[2]) & words
-    longer = (frozenset(word for word in of if len(word) > 1) for of in (last, words))
     by_words = (
         [c for c, named in _NAMES_OF.items() if not of.isdisjoint(named.split())]
-        for of in (*longer, last, words)
+        for among in (last, words)
+        for of in (frozenset(word for word in among if len(word) > 1), among)
     )
     kinds = next(filter(None, by_words), [])
     kinds = [c for c in kinds if c in of_unit] or (

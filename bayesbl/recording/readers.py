@@ -121,8 +121,10 @@ def read_recording(
     strays = [""] * len(others)
     for i, column in enumerate(others):
         called = CHANNELS.get(column.channel, column.channel)
-        mended = unwrapped if column.channel in POSITIONS else signed
-        values[:, i] = mended(values[:, i], column.factor, repairs, called)
+        if column.channel in POSITIONS:
+            values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
+        elif column.channel not in REFERENCES:  # which may jump over half of all numbers
+            values[:, i] = signed(values[:, i], column.factor, repairs, called)
         if column.channel not in REFERENCES:
             strays[i] = without_strays(values[:, i], repairs, called)
 

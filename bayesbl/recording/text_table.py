@@ -247,7 +247,9 @@ def layout_of(
             raise _of_other_width(file, begin, width, len(nearest))
         unnamed = [f"column {i + 1}" for i in range(width)]
         words = [i for i in range(values[-1]) if i not in values]
-        if len(words) > 1 and words == [*range(words[0], values[-1], 2)]:  # before each value
+        alternate = len(words) > 1 and words == [*range(words[0], values[-1], 2)]
+        units_follow = any(cell for row in samples for cell in row[values[-1] + 1 :])
+        if alternate and not units_follow:  # names before the values
             for i in words:
                 called = {row[i] for row in samples}
                 unnamed[i + 1] = called.pop() if len(called) == 1 else unnamed[i + 1]

@@ -1791,6 +1791,29 @@ def test_signs_in_unsigned_words_are_put_back(
     assert read_recording(path).motor_speed_rpm.max() > 30000.0
 
 
+def test_a_reference_may_jump_over_half_of_all_numbers(tmp_path: Path) -> None:
+    asked = np.where(TIME < TIME[300], 10000, 40000)
+    lines = [f"{t:.3f},{n:.3f},{a}" for t, n, a in zip(TIME, SPEED, asked, strict=True)]
+    path = tmp_path / "steps.csv"
+    path.write_text(text(lines, "time_s,motor_speed_rpm,reference_speed_rpm"))
+    assert read_recording(path).channels["reference_speed_rpm"].min() > 0.0
+
+
+@pytest.mark.parametrize("form", ["{t:.3f} s {n:.3f} rpm 300 mA", "{t:.3f} s pos 1.5 rad"])
+def test_units_after_values_are_no_names_of_the_next(tmp_path: Path, form: str) -> None:
+    path = tmp_path / "a.log"
+    path.write_text(text(rows(form), None))
+    assert not {"s", "rpm"} & set(read_table(path).columns)
+
+
+def test_a_current_called_by_a_letter_is_no_speed_for_its_folder(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows("{t:.3f},0.4,{n:.3f}"), "t [s],speed_controller.i,vel.w [rpm]"))
+    named = {c.channel: c.name for c in guess_columns(read_table(path)).columns}
+    assert named["motor_speed_rpm"] == "vel.w [rpm]"
+    assert named["motor_current_a"] == "speed_controller.i"
+
+
 def lerobot(folder: Path, names: object, episodes: int = 1) -> Path:
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -1823,8 +1846,9 @@ def test_lists_of_lerobot_are_called_as_its_info_says(
     assert found["motor_position_rad"].name == "shoulder_pan/observation.state.pos"
     assert found["motor_position_rad"].is_open
     before = read_recording(path, columns=LEROBOT).source.sha256
-    (tmp_path / "meta" / "info.json").write_text("{}")
-    assert read_table(path).columns[:2] == ("observation.state[0]", "observation.state[1]")
+    for others in ("{}", "no JSON", '{"features": {"action": {"names": ["a", "a", "b"]}}}'):
+        (tmp_path / "meta" / "info.json").write_text(others)
+        assert read_table(path).columns[:2] == ("observation.state[0]", "observation.state[1]")
     (tmp_path / "meta" / "info.json").unlink()
     assert read_table(path).columns[:2] == ("observation.state[0]", "observation.state[1]")
     assert len(before) == 64
@@ -1891,7 +1915,7 @@ def test_frames_of_a_bus_are_decoded_by_the_dbc_file_beside_them(
     np.testing.assert_allclose(read.motor_speed_rpm, SPEED, atol=1e-3)
     np.testing.assert_allclose(read.time_s - read.time_s[0], TIME, atol=1e-6)
     np.testing.assert_allclose(read.channels["motor_current_a"], 0.4)
-    assert read.notes[0].startswith("Put right while reading: 1 × CAN frame of no message")
+    assert "1 × CAN frame that its message does not describe" in read.notes[0]
     (tmp_path / "other.dbc").write_text(DBC.replace("321", "320").replace("322", "319"))
     with pytest.raises(RecordingError, match=r"cell.dbc, other.dbc.*drive.dbc"):
         read_table(path)

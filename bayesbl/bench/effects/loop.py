@@ -56,11 +56,10 @@ SPEED_SENSOR_LAG = Effect(
 # The difference lags by half a period, the hold by another half, the computation by d periods. The
 # loop is late by about (1 + d) T in all, and its gain is K_i T/2 higher. A dead time of bus or
 # torque filter is part of d, which may be any number of periods. Drives report speed and current at
-# their ticks, for d above one the mean current until the next tick; a recording begins with a tick.
+# their ticks, the current as its mean until the next tick, so it is d periods old; a recording
+# begins with a tick.
 # Most simulated controllers, and drives with a speed observer, use the instantaneous speed, which
-# is T/2 less late: a share s of the instantaneous speed and 1 − s of the difference. A negative
-# delay adds twice its size to the share: at d = −1 the speed leads by as much as the hold delays,
-# and the loop is not late.
+# is T/2 less late: a share s of the instantaneous speed and 1 − s of the difference.
 SAMPLED_CONTROL = Effect(
     place=195,
     name="sampled_control",

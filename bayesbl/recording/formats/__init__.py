@@ -66,7 +66,12 @@ class Format:
 
 
 CAN_LOG = Format(
-    "CAN frames", (".blf",), ".can_log", "cantools", ((0, b""),), ("{stem}.dbc", "*.dbc")
+    "CAN frames",
+    (".blf",),
+    ".can_log",
+    "cantools",
+    ((0, b""),),
+    ("{stem}.dbc", "{stem}.DBC", "*.dbc", "*.DBC"),
 )
 """Also of texts whose lines are frames."""
 

@@ -39,11 +39,12 @@ def read(file: Path, data: bytes) -> ArrayTable:
     repairs: Counter[str] = Counter()
     for time, bus, number, content in _frames(log):
         if number not in messages:
-            repairs["CAN frame of no message in the DBC file"] += 1
-        elif len(content) < messages[number].length:
-            repairs["CAN frame cut short"] += 1
-        else:
+            continue
+        try:
             values = messages[number].decode(content, decode_choices=False)
+        except cantools.database.DecodeError:
+            repairs["CAN frame that its message does not describe"] += 1
+        else:
             rows.setdefault((str(bus), number, *values), []).append((time, values))
     if not rows:
         raise RecordingError(

@@ -50,7 +50,10 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 def _names_of_elements(info: bytes) -> dict[str, list[str]]:
     """Of each list, where LeRobot names its elements: a list of names, or one in an object."""
-    stated = json.loads(info or b"{}")
+    try:
+        stated = json.loads(info)
+    except ValueError:
+        return {}  # another program's file
     features = stated.get("features") if isinstance(stated, dict) else None
     names = {}
     for feature, about in features.items() if isinstance(features, dict) else ():
@@ -71,7 +74,7 @@ def _of_lists(name: str, column: Any, elements: Sequence[str]) -> dict[str, AnyA
     if len(lengths) != 1 or not 0 < (lengths[0] or 0) <= _LONGEST_LIST:
         return {}
     flat = pyarrow.compute.list_flatten(column).to_numpy().reshape(-1, lengths[0])
-    if len({*elements}) != lengths[0]:
+    if not len({*elements}) == len(elements) == lengths[0]:
         return {f"{name}[{i}]": flat[:, i] for i in range(lengths[0])}
     parts = [element.partition(".") for element in elements]
     return {f"{of}/{name}{dot}{kind}": flat[:, i] for i, (of, dot, kind) in enumerate(parts)}
