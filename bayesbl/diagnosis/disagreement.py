@@ -19,16 +19,10 @@ from dataclasses import dataclass
 from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
+from scipy import linalg
 from scipy.ndimage import uniform_filter1d
 
-from bayesbl.noise.rotation_noise import (
-    HIGHEST_ORDER,
-    bic,
-    burg,
-    innovation_share,
-    levinson,
-    log_variances,
-)
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER, bic, burg, innovation_share, log_variances
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import unit_of
 
@@ -181,8 +175,10 @@ class ComparedPiece:
         noise = ResidualNoise.of(residual[1])
         floor = noise.innovation
         if white is not None:
-            variance, _ = levinson(white, min(noise.coefficients.size, white.size - 1))[-1]
-            floor = min(noise.sd, floor * math.sqrt(float(white[0]) / variance))
+            order = min(noise.coefficients.size, white.size - 1)
+            past, present = linalg.toeplitz(white[:order]), white[1 : order + 1]
+            unforeseen = white[0] - present @ np.linalg.lstsq(past, present)[0]
+            floor = min(noise.sd, floor * math.sqrt(white[0] / max(unforeseen, 1e-300)))
         return cls(recording, channel, use, *signals, residual, floor, "samples")
 
 

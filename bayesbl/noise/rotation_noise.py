@@ -22,6 +22,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import fft
 from scipy.special import gammaln
 
@@ -32,6 +33,25 @@ from bayesbl.recording.types import FloatArray
 
 FEWEST_DIFFERENCES = 200
 """Fewest samples from which noise is estimated."""
+
+
+def require_differences(count: int, found: str) -> None:
+    """Raise a RecordingError if these are too few samples with a counterpart a rotation later."""
+    if count < FEWEST_DIFFERENCES:
+        raise RecordingError(
+            "The recording is too short to tell noise from what repeats every load rotation.",
+            found=found,
+            expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
+        )
+
+
+def unseen_variance(rounding: ArrayLike, shown: ArrayLike) -> FloatArray:
+    """Variance of rounding that repeats every rotation, so that differences do not show it.
+
+    If they show the variance of all rounding, none repeats.
+    """
+    return np.maximum(np.subtract(rounding, shown), 0.0)
+
 
 Fits = list[tuple[float, FloatArray]]
 """For the orders 0, 1, 2 …: variance of the innovations ε, and φ_1 … φ_p of shape (p,)."""
@@ -58,25 +78,6 @@ def burg(x: FloatArray, highest: int) -> Fits:
             (forward - reflection * backward)[1:],
             (backward - reflection * forward)[:-1],
         )
-    return fits
-
-
-def levinson(autocovariance: FloatArray, highest: int) -> Fits:
-    """Fit every order up to ``highest`` to γ(0), γ(1) … (Levinson and Durbin's recursion).
-
-    The fits end before the order at which no variance is left.
-    """
-    variance = max(float(autocovariance[0]), 1e-300)
-    phi = np.zeros(0)
-    fits = [(variance, phi)]
-    for order in range(1, highest + 1):
-        past = autocovariance[order - 1 : 0 : -1]
-        reflection = (autocovariance[order] - phi @ past) / variance
-        phi = np.concatenate((phi - reflection * phi[::-1], [reflection]))
-        variance *= 1.0 - reflection**2
-        if not variance > 0.0:
-            break
-        fits.append((variance, phi))
     return fits
 
 
@@ -115,12 +116,21 @@ def innovation_share(coefficients: FloatArray) -> float:
 def autocorrelation(
     coefficients: FloatArray, lags: int, differentiated: bool = False
 ) -> FloatArray:
-    """ρ(0) … ρ(lags − 1) of a process, or of its change from sample to sample."""
-    if not differentiated:
-        return _yule_walker(coefficients, lags)
-    rho = _yule_walker(coefficients, lags + 1)
-    change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
-    return np.asarray(change / change[0])
+    """ρ(0) … ρ(lags − 1) of a process, or of its change from sample to sample.
+
+    By the Yule-Walker equations ρ_k = Σ φ_j ρ_|k−j|, ρ_0 = 1, and by recursion beyond the order.
+    """
+    if differentiated:
+        rho = autocorrelation(coefficients, lags + 1)
+        change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
+        return np.asarray(change / change[0])
+    p = coefficients.size
+    matrix, k = np.eye(p + 1), np.arange(1, p + 1)
+    for j, phi in enumerate(coefficients, start=1):
+        matrix[k, np.abs(k - j)] -= phi
+    rho = np.linalg.solve(matrix, np.eye(p + 1)[0])
+    beyond = recursion(coefficients, np.zeros(max(0, lags - p - 1)), rho[:0:-1])
+    return np.concatenate((rho, beyond))[:lags]
 
 
 def correlated(
@@ -137,26 +147,6 @@ def correlated(
     spectrum = fft.rfft(circulant).reshape(-1, *(1,) * (columns.ndim - 1))
     product = fft.irfft(spectrum * fft.rfft(columns, size, axis=0), size, axis=0)
     return np.asarray(product[:n])
-
-
-def _yule_walker(coefficients: FloatArray, lags: int) -> FloatArray:
-    """ρ(0) … ρ(lags − 1) by the Yule-Walker equations, and by recursion beyond the order."""
-    p = coefficients.size
-    rho = np.zeros(max(lags, p + 1))
-    rho[0] = 1.0
-    if p:
-        # ρ_k = Σ φ_j ρ_|k−j| for k = 1 … p, with ρ_0 = 1
-        matrix, right = np.eye(p), np.zeros(p)
-        for k in range(1, p + 1):
-            for j, phi in enumerate(coefficients, start=1):
-                if j == k:
-                    right[k - 1] += phi
-                else:
-                    matrix[k - 1, abs(k - j) - 1] -= phi
-        rho[1 : p + 1] = np.linalg.solve(matrix, right)
-    if 0 < p < rho.size - 1:
-        rho[p + 1 :] = recursion(coefficients, np.zeros(rho.size - p - 1), rho[p:0:-1])
-    return rho[:lags]
 
 
 @compiled(nogil=True)
@@ -386,16 +376,11 @@ def estimate_noise(
     """
     d = rotation_difference(residual_rpm, rotation_period_s, sampling_period_s)
     count = int(np.isfinite(d).sum())
-    if count < FEWEST_DIFFERENCES:
-        raise RecordingError(
-            "The recording is too short to tell noise from what repeats every load rotation.",
-            found=f"{count} samples with a counterpart one rotation "
-            f"({rotation_period_s:.3g} s) later",
-            expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
-        )
+    require_differences(
+        count, f"{count} samples with a counterpart one rotation ({rotation_period_s:.3g} s) later"
+    )
     variance = float(np.nansum(d**2)) / (2.0 * count)
-    # Repeating rounding is missing from d; if d has the variance of all rounding, none repeats.
-    hidden = 0.0 if steps is None else max(0.0, steps.sd_rpm**2 - variance)
+    hidden = 0.0 if steps is None else float(unseen_variance(steps.sd_rpm**2, variance))
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated
     series = _summed(d) if differentiated else d
