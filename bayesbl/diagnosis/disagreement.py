@@ -22,7 +22,7 @@ import numpy as np
 from scipy import linalg
 from scipy.ndimage import uniform_filter1d
 
-from bayesbl.noise.rotation_noise import HIGHEST_ORDER, bic, burg, innovation_share, log_variances
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER, bic, burg, innovation_share
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import unit_of
 
@@ -45,9 +45,9 @@ class ResidualNoise:
     def of(cls, residual: FloatArray) -> ResidualNoise:
         """Burg's estimate on a residual of shape (n,)."""
         n = residual.size
-        fits = burg(residual, min(HIGHEST_ORDER, n // 20))
-        order = int(np.argmin(bic(log_variances(fits), n)))
-        return cls(math.sqrt(float(residual @ residual) / n), fits[order][1], residual)
+        log_variances, by_order = burg(residual, min(HIGHEST_ORDER, n // 20))
+        order = int(np.argmin(bic(log_variances, n)))
+        return cls(math.sqrt(float(residual @ residual) / n), by_order[order], residual)
 
     @property
     def innovation(self) -> float:

@@ -53,37 +53,27 @@ def unseen_variance(rounding: ArrayLike, shown: ArrayLike) -> FloatArray:
     return np.maximum(np.subtract(rounding, shown), 0.0)
 
 
-Fits = list[tuple[float, FloatArray]]
-"""For the orders 0, 1, 2 …: variance of the innovations ε, and φ_1 … φ_p of shape (p,)."""
-
-
-def burg(x: FloatArray, highest: int) -> Fits:
+def burg(x: FloatArray, highest: int) -> tuple[FloatArray, list[FloatArray]]:
     """Fit every order up to ``highest`` to a series of shape (n,) (Burg 1975).
 
+    Returns ln variance of the innovations ε, (orders,), and φ_1 … φ_p of each order, (p,).
     NaN in ``x`` spreads to the predictions that need it, and these are left out.
     """
     forward, backward = x[1:], x[:-1]
-    variance = float(np.nanmean(x**2))
-    coefficients = np.zeros(0)
-    fits = [(variance, coefficients)]
+    variances, coefficients = [float(np.nanmean(x**2))], [np.zeros(0)]
     for _ in range(highest):
         product = forward * backward
         known = np.isfinite(product)
         power = float(np.sum(forward[known] ** 2 + backward[known] ** 2))
         reflection = 2.0 * float(product[known].sum()) / power if power > 0.0 else 0.0
-        coefficients = np.r_[coefficients - reflection * coefficients[::-1], reflection]
-        variance *= 1.0 - reflection**2
-        fits.append((variance, coefficients))
+        last = coefficients[-1]
+        coefficients.append(np.r_[last - reflection * last[::-1], reflection])
+        variances.append(variances[-1] * (1.0 - reflection**2))
         forward, backward = (
             (forward - reflection * backward)[1:],
             (backward - reflection * forward)[:-1],
         )
-    return fits
-
-
-def log_variances(fits: Fits) -> FloatArray:
-    """ln of the innovations' variance for every order, shape (orders,)."""
-    return np.asarray(np.log(np.maximum([variance for variance, _ in fits], 1e-300)))
+    return np.log(np.maximum(variances, 1e-300)), coefficients
 
 
 def bic(log_variance: FloatArray, count: int, parameters: int = 1) -> FloatArray:
@@ -384,18 +374,18 @@ def estimate_noise(
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated
     series = _summed(d) if differentiated else d
-    fits = burg(series, HIGHEST_ORDER)
-    evidence = bic(log_variances(fits), count)
+    log_variances, by_order = burg(series, HIGHEST_ORDER)
+    evidence = bic(log_variances, count)
     evidence -= evidence.min()
     if kind == "white":
         best = 0
     elif kind == "ar":
         best = order if order is not None else 1 + int(np.argmin(evidence[1:]))
         if best > HIGHEST_ORDER:
-            fits = burg(series, best)
+            _, by_order = burg(series, best)
     else:
         best = int(np.argmin(evidence))
-    coefficients = fits[best][1]
+    coefficients = by_order[best]
     e = innovations(series, coefficients)
     heaviness = tails(e[np.isfinite(e)])
     # Coarse rounding has a distribution of its own, unlike both kinds of innovation.
