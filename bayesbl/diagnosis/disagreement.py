@@ -19,16 +19,10 @@ from dataclasses import dataclass
 from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
+from scipy import linalg
 from scipy.ndimage import uniform_filter1d
 
-from bayesbl.noise.rotation_noise import (
-    HIGHEST_ORDER,
-    bic,
-    burg,
-    innovation_share,
-    levinson,
-    log_variances,
-)
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER, bic, burg, innovation_share
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import unit_of
 
@@ -51,9 +45,9 @@ class ResidualNoise:
     def of(cls, residual: FloatArray) -> ResidualNoise:
         """Burg's estimate on a residual of shape (n,)."""
         n = residual.size
-        fits = burg(residual, min(HIGHEST_ORDER, n // 20))
-        order = int(np.argmin(bic(log_variances(fits), n)))
-        return cls(math.sqrt(float(residual @ residual) / n), fits[order][1], residual)
+        log_variances, by_order = burg(residual, min(HIGHEST_ORDER, n // 20))
+        order = int(np.argmin(bic(log_variances, n)))
+        return cls(math.sqrt(float(residual @ residual) / n), by_order[order], residual)
 
     @property
     def innovation(self) -> float:
@@ -181,8 +175,10 @@ class ComparedPiece:
         noise = ResidualNoise.of(residual[1])
         floor = noise.innovation
         if white is not None:
-            variance, _ = levinson(white, min(noise.coefficients.size, white.size - 1))[-1]
-            floor = min(noise.sd, floor * math.sqrt(float(white[0]) / variance))
+            order = min(noise.coefficients.size, white.size - 1)
+            past, present = linalg.toeplitz(white[:order]), white[1 : order + 1]
+            unforeseen = white[0] - present @ np.linalg.lstsq(past, present)[0]
+            floor = min(noise.sd, floor * math.sqrt(white[0] / max(unforeseen, 1e-300)))
         return cls(recording, channel, use, *signals, residual, floor, "samples")
 
 

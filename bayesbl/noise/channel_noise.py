@@ -14,7 +14,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.rotation_noise import FEWEST_DIFFERENCES, bic
+from bayesbl.noise.rotation_noise import (
+    FEWEST_DIFFERENCES,
+    bic,
+    require_differences,
+    unseen_variance,
+)
 from bayesbl.recording.types import BoolArray, FloatArray
 
 HIGHEST_ORDER = 10
@@ -111,12 +116,7 @@ def estimate_channel_noise(
         If too little of the recording has a counterpart one rotation later.
     """
     count = residual.shape[1] - lag
-    if count < FEWEST_DIFFERENCES:
-        raise RecordingError(
-            "The recording is too short to tell noise from what repeats every load rotation.",
-            found=f"{max(count, 0)} samples with a counterpart one rotation later",
-            expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
-        )
+    require_differences(count, f"{max(count, 0)} samples with a counterpart one rotation later")
     both_kept = None if kept is None else kept[lag:] & kept[:-lag]
     differences = residual[:, lag:] - residual[:, :-lag]
     return _noise_of(differences, 0.5, both_kept, rounding, residual.shape[1] / lag)
@@ -183,35 +183,34 @@ def _noise_of(
                 expected=f"at least {FEWEST_DIFFERENCES}",
             )
     variance = share * np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)
-    unseen = None if rounding is None else _unseen(variance, rounding)
-    if unseen is not None:
-        shown_noise = noise if kept is None else np.where(kept, noise, 0.0)
-        unseen = unseen + _passed_on(shown_noise, unseen)
-        shown_noise = shown_noise * math.sqrt(
-            share * noise.shape[1] / (count if kept is None else kept.sum())
-        )
-        coefficients, covariance = _yule_walker(shown_noise, rotations * unseen)
-        total = np.sqrt(variance + unseen[:, 0])
-        root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
-        return ChannelNoise(coefficients, root, total, count, repeats=True)
-    fits = [_autoregression(noise, order, complete_past) for order in range(HIGHEST_ORDER + 1)]
-    determinants = np.array([np.linalg.slogdet(covariance)[1] for _, covariance in fits])
-    best = int(np.argmin(bic(determinants, count, channels**2)))
-    coefficients, covariance = fits[best]
-    return ChannelNoise(
-        coefficients,
-        np.asarray(np.linalg.cholesky(share * covariance), dtype=np.float64),
-        np.sqrt(variance),
-        count,
-    )
-
-
-def _unseen(variance: FloatArray, rounding: FloatArray) -> FloatArray | None:
-    """Part of the rounding's autocovariance (c, lags) missing from a channel's variance (c,)."""
-    missing = np.clip(rounding[:, 0] - variance, 0.0, None)
-    if np.all(missing <= NEGLIGIBLE * variance):
-        return None
-    return np.asarray(rounding * (missing / np.maximum(rounding[:, 0], 1e-300))[:, None])
+    unseen = np.zeros((channels, HIGHEST_ORDER + 1))
+    if rounding is not None:
+        missing = unseen_variance(rounding[:, 0], variance)
+        if np.any(missing > NEGLIGIBLE * variance):
+            unseen = rounding * (missing / np.maximum(rounding[:, 0], 1e-300))[:, None]
+    repeats, orders = bool(unseen.any()), range(HIGHEST_ORDER + 1)
+    if repeats:
+        shown = noise if kept is None else np.where(kept, noise, 0.0)
+        unseen = unseen + _passed_on(shown, unseen)
+        # With zeros around it, the noise has the biased autocovariance of Yule and Walker.
+        delayed = _delayed(np.pad(shown, ((0, 0), (HIGHEST_ORDER, HIGHEST_ORDER))))
+        lags = np.abs(np.subtract.outer(orders, orders))
+        repeating = np.einsum("ajk,ab->jakb", rotations * unseen[:, lags], np.eye(channels))
+        moment = delayed @ delayed.T * (share / (count if kept is None else kept.sum()))
+        root = np.linalg.cholesky(moment + repeating.reshape(moment.shape)).T
+        orders = orders[-1:]
+    else:
+        # All orders use the same samples, so that their likelihoods can be compared.
+        delayed = _delayed(noise)[:, slice(None) if complete_past is None else complete_past]
+        root = np.asarray(np.linalg.qr(delayed.T, mode="r"))
+        root *= math.sqrt(share / delayed.shape[1])
+    least_share = delayed.shape[1] * np.finfo(np.float64).eps
+    fits = [_autoregression(root, channels, order, least_share) for order in orders]
+    tiny = 1e-24 * share * np.diag(np.maximum(np.mean(noise**2, axis=1), 1e-300))
+    determinants = np.array([np.linalg.slogdet(covariance + tiny)[1] for _, covariance in fits])
+    coefficients, covariance = fits[int(np.argmin(bic(determinants, count, channels**2)))]
+    scatter = np.asarray(np.linalg.cholesky(covariance + tiny))
+    return ChannelNoise(coefficients, scatter, np.sqrt(variance + unseen[:, 0]), count, repeats)
 
 
 def _passed_on(noise: FloatArray, unseen: FloatArray) -> FloatArray:
@@ -228,33 +227,22 @@ def _passed_on(noise: FloatArray, unseen: FloatArray) -> FloatArray:
     return np.asarray(np.clip(gain_square, 0.0, None)[:, None] * unseen[0])
 
 
-def _yule_walker(d: FloatArray, extra: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Φ of the highest order, shape (p, c, c), and the innovations' covariance (c, c). From the
-    autocovariance of d, shape (c, n), plus ``extra`` of each channel alone, (c, p + 1)."""
-    channels, n = d.shape
-    lags = [d[:, k:] @ d[:, : n - k].T / n + np.diag(row) for k, row in enumerate(extra.T)]
-    orders = range(HIGHEST_ORDER)
-    past = np.block([[lags[k - j] if k >= j else lags[j - k].T for k in orders] for j in orders])
-    present = np.concatenate(lags[1:], axis=1)
-    stacked = np.linalg.solve(past.T, present.T).T
-    coefficients = stacked.reshape(channels, HIGHEST_ORDER, channels).swapaxes(0, 1)
-    return coefficients, lags[0] - stacked @ present.T
+def _delayed(x: FloatArray) -> FloatArray:
+    """x_t, x_{t−1} … of (c, n) for every t with a complete past, (c (HIGHEST_ORDER + 1), n − …)."""
+    n = x.shape[1]
+    return np.concatenate([x[:, HIGHEST_ORDER - k : n - k] for k in range(HIGHEST_ORDER + 1)])
 
 
 def _autoregression(
-    d: FloatArray, order: int, complete_past: BoolArray | None
+    root: FloatArray, channels: int, order: int, least_share: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c). All
-    orders use the same samples, so that their likelihoods can be compared: those with a complete
-    past, shape (n − HIGHEST_ORDER,)."""
-    channels, n = d.shape
-    chosen = slice(None) if complete_past is None else complete_past
-    present = d[:, HIGHEST_ORDER:][:, chosen]
-    tiny = 1e-24 * np.diag(np.maximum(np.mean(d**2, axis=1), 1e-300))
-    if order == 0:
-        return np.zeros((0, channels, channels)), present @ present.T / present.shape[1] + tiny
-    past = np.concatenate([d[:, HIGHEST_ORDER - k : n - k][:, chosen] for k in range(1, order + 1)])
-    stacked = np.linalg.lstsq(past.T, present.T, rcond=None)[0].T
-    innovations = present - stacked @ past
-    coefficients = stacked.reshape(channels, order, channels).swapaxes(0, 1)
-    return coefficients, innovations @ innovations.T / present.shape[1] + tiny
+    """Φ of one order by least squares, shape (p, c, c), and the innovations' covariance (c, c).
+
+    ``root``: R with RᵀR the second moment of (x_t, x_{t−1} …). Singular values below
+    ``least_share`` of the largest are taken for zero.
+    """
+    present, past = np.split(root[:, : channels * (order + 1)], [channels], axis=1)
+    stacked = np.linalg.lstsq(past, present, rcond=least_share)[0]
+    innovations = present - past @ stacked
+    coefficients = stacked.reshape(order, channels, channels).swapaxes(1, 2)
+    return np.asarray(coefficients), innovations.T @ innovations

@@ -27,6 +27,9 @@ rotations without such scatter would be a sixth wider, with 1/5 a twentieth."""
 SHARES = 1000
 """Grid points of a share between 0 and 1."""
 
+TIMING, SHAKING = range(2)
+"""Streams of the errors by early and late impacts and by outside vibration."""
+
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
@@ -112,12 +115,16 @@ def early_and_late(
     noise = factors * trace / freedom
     true_square = np.maximum(float(deviations @ deviations) / freedom - noise, 0.0)
     sd = np.sqrt(2.0 * squares * (factors / freedom) ** 2 + 4.0 * noise * true_square / freedom)
-    normal = np.random.default_rng(0).permutation(normal_quantiles(factors.size))
+    normal = normal_sample(factors.size, TIMING)
     return np.asarray(
         np.maximum(float(deviations @ deviations) / freedom - noise + sd * normal, 0.0)
     )
 
 
-def normal_quantiles(count: int) -> FloatArray:
-    """Equally likely values of a standard normal variable, (count,)."""
-    return np.asarray(special.ndtri((np.arange(count) + 0.5) / count))
+def normal_sample(count: int, stream: int) -> FloatArray:
+    """Equally likely values of a standard normal variable in a fixed random order, (count,).
+
+    Errors that are independent take a ``stream`` each.
+    """
+    quantiles = special.ndtri((np.arange(count) + 0.5) / count)
+    return np.random.default_rng(stream).permutation(quantiles)

@@ -10,8 +10,9 @@ average out like noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -49,6 +50,8 @@ FEWEST_IN_ROTATION = 3
 """Fewest stretches in a load rotation, so that some have no ringing."""
 
 ROUNDS = 3
+"""Each round leaves a few per cent of the line, as pieces hold no whole number of periods."""
+
 FINER = 8
 
 
@@ -72,17 +75,31 @@ def without_outside_lines(
     cleaned = dict(channels)
     lines: list[OutsideLine] = []
     smallest = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[MOTOR_SPEED]))
-    while (line := clearest_line(cleaned[MOTOR_SPEED], period_s, smallest)) is not None:
+    while (hz := _clearest_frequency(cleaned[MOTOR_SPEED], period_s, smallest)) is not None:
         if len(lines) == MOST_LINES:
             return channels, ()
-        lines.append(line)
-        for name, row in cleaned.items():
-            cleaned[name] = row - _wave(row, period_s, line.frequency_hz)
+        wave = np.exp(2.0j * np.pi * hz * period_s * np.arange(cleaned[MOTOR_SPEED].size))
+        by_stretch = partial(_by_stretch, step_s=period_s, frequency_hz=np.array([hz]))
+        size = sum(subtract_line(cleaned, wave, by_stretch) for _ in range(ROUNDS))
+        lines.append(OutsideLine(hz, abs(size)))
     return cleaned, tuple(lines)
 
 
-def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> OutsideLine | None:
-    """The largest sustained line of at least this amplitude, if there is one."""
+def subtract_line(
+    channels: dict[str, FloatArray], wave: ComplexArray, by_piece: Callable[..., ComplexArray]
+) -> complex:
+    """Subtract Re(c · wave) from each channel, (n,), in place; return c of the speed.
+
+    ``by_piece``: complex amplitudes (pieces, 1) of a channel; c is their median.
+    """
+    lines = {name: complex(medians(by_piece(row))[0][0]) for name, row in channels.items()}
+    for name, line in lines.items():
+        channels[name] = channels[name] - (line * wave).real
+    return lines[MOTOR_SPEED]
+
+
+def _clearest_frequency(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> float | None:
+    """Frequency of the largest sustained line of at least this amplitude, if there is one, Hz."""
     decimation = max(1, math.floor(1.0 / (4.0 * BAND_HZ[1] * period_s)))
     rows = (
         speed_rpm[: speed_rpm.size // decimation * decimation].reshape(-1, decimation).mean(axis=1)
@@ -112,10 +129,8 @@ def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> O
         coherent_sum = np.abs(_by_stretch(part, step, fine)[quiet].sum(axis=0))
         frequency = float(fine[np.argmax(coherent_sum)])
         if part.size == rows.size:
-            break
+            return frequency
         part, spacing = rows[: 2 * part.size], 0.5 * spacing
-    wave = _wave(speed_rpm, period_s, frequency)
-    return OutsideLine(frequency, math.sqrt(2.0) * float(wave.std()))
 
 
 def in_words(lines: Iterable[OutsideLine]) -> str:
@@ -128,16 +143,6 @@ def in_words(lines: Iterable[OutsideLine]) -> str:
         "joint from outside. It was taken out of the speed, and the interval allows for as much in "
         "the amplitude."
     )
-
-
-def _wave(speed_rpm: FloatArray, period_s: float, frequency_hz: float) -> FloatArray:
-    """The line at a frequency, (n,), from repeated medians until nothing is left of it."""
-    turning = np.exp(2.0j * np.pi * frequency_hz * period_s * np.arange(speed_rpm.size))
-    remainder = speed_rpm.copy()
-    for _ in range(ROUNDS):
-        line = medians(_by_stretch(remainder, period_s, np.array([frequency_hz])))[0][0]
-        remainder -= (line * turning).real
-    return np.asarray(speed_rpm - remainder)
 
 
 def _by_stretch(rows: FloatArray, step_s: float, frequency_hz: FloatArray) -> ComplexArray:

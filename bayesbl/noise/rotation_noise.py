@@ -22,6 +22,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import fft
 from scipy.special import gammaln
 
@@ -33,56 +34,46 @@ from bayesbl.recording.types import FloatArray
 FEWEST_DIFFERENCES = 200
 """Fewest samples from which noise is estimated."""
 
-Fits = list[tuple[float, FloatArray]]
-"""For the orders 0, 1, 2 …: variance of the innovations ε, and φ_1 … φ_p of shape (p,)."""
+
+def require_differences(count: int, found: str) -> None:
+    """Raise a RecordingError if these are too few samples with a counterpart a rotation later."""
+    if count < FEWEST_DIFFERENCES:
+        raise RecordingError(
+            "The recording is too short to tell noise from what repeats every load rotation.",
+            found=found,
+            expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
+        )
 
 
-def burg(x: FloatArray, highest: int) -> Fits:
+def unseen_variance(rounding: ArrayLike, shown: ArrayLike) -> FloatArray:
+    """Variance of rounding that repeats every rotation, so that differences do not show it.
+
+    If they show the variance of all rounding, none repeats.
+    """
+    return np.maximum(np.subtract(rounding, shown), 0.0)
+
+
+def burg(x: FloatArray, highest: int) -> tuple[FloatArray, list[FloatArray]]:
     """Fit every order up to ``highest`` to a series of shape (n,) (Burg 1975).
 
+    Returns ln variance of the innovations ε, (orders,), and φ_1 … φ_p of each order, (p,).
     NaN in ``x`` spreads to the predictions that need it, and these are left out.
     """
     forward, backward = x[1:], x[:-1]
-    variance = float(np.nanmean(x**2))
-    coefficients = np.zeros(0)
-    fits = [(variance, coefficients)]
+    variances, coefficients = [float(np.nanmean(x**2))], [np.zeros(0)]
     for _ in range(highest):
         product = forward * backward
         known = np.isfinite(product)
         power = float(np.sum(forward[known] ** 2 + backward[known] ** 2))
         reflection = 2.0 * float(product[known].sum()) / power if power > 0.0 else 0.0
-        coefficients = np.r_[coefficients - reflection * coefficients[::-1], reflection]
-        variance *= 1.0 - reflection**2
-        fits.append((variance, coefficients))
+        last = coefficients[-1]
+        coefficients.append(np.r_[last - reflection * last[::-1], reflection])
+        variances.append(variances[-1] * (1.0 - reflection**2))
         forward, backward = (
             (forward - reflection * backward)[1:],
             (backward - reflection * forward)[:-1],
         )
-    return fits
-
-
-def levinson(autocovariance: FloatArray, highest: int) -> Fits:
-    """Fit every order up to ``highest`` to γ(0), γ(1) … (Levinson and Durbin's recursion).
-
-    The fits end before the order at which no variance is left.
-    """
-    variance = max(float(autocovariance[0]), 1e-300)
-    phi = np.zeros(0)
-    fits = [(variance, phi)]
-    for order in range(1, highest + 1):
-        past = autocovariance[order - 1 : 0 : -1]
-        reflection = (autocovariance[order] - phi @ past) / variance
-        phi = np.concatenate((phi - reflection * phi[::-1], [reflection]))
-        variance *= 1.0 - reflection**2
-        if not variance > 0.0:
-            break
-        fits.append((variance, phi))
-    return fits
-
-
-def log_variances(fits: Fits) -> FloatArray:
-    """ln of the innovations' variance for every order, shape (orders,)."""
-    return np.asarray(np.log(np.maximum([variance for variance, _ in fits], 1e-300)))
+    return np.log(np.maximum(variances, 1e-300)), coefficients
 
 
 def bic(log_variance: FloatArray, count: int, parameters: int = 1) -> FloatArray:
@@ -115,12 +106,21 @@ def innovation_share(coefficients: FloatArray) -> float:
 def autocorrelation(
     coefficients: FloatArray, lags: int, differentiated: bool = False
 ) -> FloatArray:
-    """ρ(0) … ρ(lags − 1) of a process, or of its change from sample to sample."""
-    if not differentiated:
-        return _yule_walker(coefficients, lags)
-    rho = _yule_walker(coefficients, lags + 1)
-    change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
-    return np.asarray(change / change[0])
+    """ρ(0) … ρ(lags − 1) of a process, or of its change from sample to sample.
+
+    By the Yule-Walker equations ρ_k = Σ φ_j ρ_|k−j|, ρ_0 = 1, and by recursion beyond the order.
+    """
+    if differentiated:
+        rho = autocorrelation(coefficients, lags + 1)
+        change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
+        return np.asarray(change / change[0])
+    p = coefficients.size
+    matrix, k = np.eye(p + 1), np.arange(1, p + 1)
+    for j, phi in enumerate(coefficients, start=1):
+        matrix[k, np.abs(k - j)] -= phi
+    rho = np.linalg.solve(matrix, np.eye(p + 1)[0])
+    beyond = recursion(coefficients, np.zeros(max(0, lags - p - 1)), rho[:0:-1])
+    return np.concatenate((rho, beyond))[:lags]
 
 
 def correlated(
@@ -137,26 +137,6 @@ def correlated(
     spectrum = fft.rfft(circulant).reshape(-1, *(1,) * (columns.ndim - 1))
     product = fft.irfft(spectrum * fft.rfft(columns, size, axis=0), size, axis=0)
     return np.asarray(product[:n])
-
-
-def _yule_walker(coefficients: FloatArray, lags: int) -> FloatArray:
-    """ρ(0) … ρ(lags − 1) by the Yule-Walker equations, and by recursion beyond the order."""
-    p = coefficients.size
-    rho = np.zeros(max(lags, p + 1))
-    rho[0] = 1.0
-    if p:
-        # ρ_k = Σ φ_j ρ_|k−j| for k = 1 … p, with ρ_0 = 1
-        matrix, right = np.eye(p), np.zeros(p)
-        for k in range(1, p + 1):
-            for j, phi in enumerate(coefficients, start=1):
-                if j == k:
-                    right[k - 1] += phi
-                else:
-                    matrix[k - 1, abs(k - j) - 1] -= phi
-        rho[1 : p + 1] = np.linalg.solve(matrix, right)
-    if 0 < p < rho.size - 1:
-        rho[p + 1 :] = recursion(coefficients, np.zeros(rho.size - p - 1), rho[p:0:-1])
-    return rho[:lags]
 
 
 @compiled(nogil=True)
@@ -386,31 +366,26 @@ def estimate_noise(
     """
     d = rotation_difference(residual_rpm, rotation_period_s, sampling_period_s)
     count = int(np.isfinite(d).sum())
-    if count < FEWEST_DIFFERENCES:
-        raise RecordingError(
-            "The recording is too short to tell noise from what repeats every load rotation.",
-            found=f"{count} samples with a counterpart one rotation "
-            f"({rotation_period_s:.3g} s) later",
-            expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
-        )
+    require_differences(
+        count, f"{count} samples with a counterpart one rotation ({rotation_period_s:.3g} s) later"
+    )
     variance = float(np.nansum(d**2)) / (2.0 * count)
-    # Repeating rounding is missing from d; if d has the variance of all rounding, none repeats.
-    hidden = 0.0 if steps is None else max(0.0, steps.sd_rpm**2 - variance)
+    hidden = 0.0 if steps is None else float(unseen_variance(steps.sd_rpm**2, variance))
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated
     series = _summed(d) if differentiated else d
-    fits = burg(series, HIGHEST_ORDER)
-    evidence = bic(log_variances(fits), count)
+    log_variances, by_order = burg(series, HIGHEST_ORDER)
+    evidence = bic(log_variances, count)
     evidence -= evidence.min()
     if kind == "white":
         best = 0
     elif kind == "ar":
         best = order if order is not None else 1 + int(np.argmin(evidence[1:]))
         if best > HIGHEST_ORDER:
-            fits = burg(series, best)
+            _, by_order = burg(series, best)
     else:
         best = int(np.argmin(evidence))
-    coefficients = fits[best][1]
+    coefficients = by_order[best]
     e = innovations(series, coefficients)
     heaviness = tails(e[np.isfinite(e)])
     # Coarse rounding has a distribution of its own, unlike both kinds of innovation.

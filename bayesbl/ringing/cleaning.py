@@ -18,11 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.noise.outside_lines import UNSTEADY_SHARE, medians
+from bayesbl.noise.outside_lines import ROUNDS, UNSTEADY_SHARE, medians, subtract_line
 from bayesbl.noise.rotation_noise import bridged, estimate_noise
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, ComplexArray, FloatArray, Recording
@@ -42,9 +43,6 @@ SMALLEST_LINE = 0.02
 """Smallest line, as a share of half the range of the speed, which is about the ringing amplitude. A
 smaller line changes the ringing by no more than that share, and even a bench without noise has some
 of every order."""
-
-ROUNDS = 3
-"""Each round leaves a few per cent of the line, because turns have no whole number of samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +70,18 @@ def without_motor_lines(recording: Recording) -> tuple[Recording, tuple[MotorLin
     cleaned = {n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)}
     sizes: dict[int, complex] = {}
     errors: dict[int, float] = {}
-    for order in range(1, highest + 1):
-        line_by_turn = _line_by_turn(cleaned[MOTOR_SPEED], np.exp(1j * order * angle), begins)
-        line, error, unsteady = medians(line_by_turn[:, None])
-        if abs(line[0]) > max(smallest, bound * error[0]) and unsteady[0] < UNSTEADY_SHARE:
-            errors[order] = float(error[0])
-            sizes[order] = _subtract_line(cleaned, np.exp(1j * order * angle), begins)
+    waves = {order: np.exp(1j * order * angle) for order in range(1, highest + 1)}
+    for order, wave in waves.items():
+        by_turn = partial(_by_turn, wave=wave, begins=begins)
+        (line,), (error,), (unsteady,) = medians(by_turn(cleaned[MOTOR_SPEED]))
+        if abs(line) > max(smallest, bound * error) and unsteady < UNSTEADY_SHARE:
+            errors[order] = float(error)
+            sizes[order] = subtract_line(cleaned, wave, by_turn)
     if not sizes:
         return recording, ()
-    for _ in range(ROUNDS):
-        for order in sizes:
-            sizes[order] += _subtract_line(cleaned, np.exp(1j * order * angle), begins)
+    for order in ROUNDS * tuple(sizes):
+        by_turn = partial(_by_turn, wave=waves[order], begins=begins)
+        sizes[order] += subtract_line(cleaned, waves[order], by_turn)
     lines = tuple(MotorLine(order, abs(size), errors[order]) for order, size in sizes.items())
     return replace(recording, channels={**recording.channels, **cleaned}), lines
 
@@ -96,26 +95,13 @@ def in_words(lines: Sequence[MotorLine]) -> str:
     )
 
 
-def _subtract_line(
-    channels: dict[str, FloatArray], wave: ComplexArray, begins: NDArray[np.intp]
-) -> complex:
-    """Subtract the line from each channel; return its complex amplitude in the speed."""
-    lines = {
-        name: complex(medians(_line_by_turn(row, wave, begins)[:, None])[0][0])
-        for name, row in channels.items()
-    }
-    for name, line in lines.items():
-        channels[name] = channels[name] - (line * wave).real
-    return lines[MOTOR_SPEED]
-
-
-def _line_by_turn(values: FloatArray, wave: ComplexArray, begins: NDArray[np.intp]) -> ComplexArray:
-    """Amplitude c of Re(c · wave) in each turn, about the turn's mean, shape (turns,)."""
+def _by_turn(values: FloatArray, wave: ComplexArray, begins: NDArray[np.intp]) -> ComplexArray:
+    """Amplitude c of Re(c · wave) in each turn, about the turn's mean, shape (turns, 1)."""
     all_turns = slice(int(begins[0]), int(begins[-1]))
     starts, counts = begins[:-1] - begins[0], np.diff(begins)
     mean = np.repeat(np.add.reduceat(values[all_turns], starts) / counts, counts)
     demodulated = (values[all_turns] - mean) * wave[all_turns].conj()
-    return np.asarray(2.0 * np.add.reduceat(demodulated, starts) / counts)
+    return np.asarray(2.0 * np.add.reduceat(demodulated, starts)[:, None] / counts[:, None])
 
 
 SMALLEST_SHARE = 1e-5

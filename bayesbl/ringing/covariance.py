@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.impact_scatter import Scatter, early_and_late, normal_quantiles
+from bayesbl.noise.impact_scatter import SHAKING, Scatter, early_and_late, normal_sample
 from bayesbl.noise.outside_lines import OutsideLine
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.types import BoolArray, FloatArray, Recording
@@ -262,9 +262,7 @@ class PointEstimate:
         rms_rpm = math.sqrt(0.5 * sum(line.size_rpm**2 for line in outside_lines))
         relative_rms = rms_rpm / self.optimum.symbols[AMPLITUDE]
         losses = self.spread.losses
-        amplitude_errors = relative_rms * np.random.default_rng(0).permutation(
-            normal_quantiles(losses.size)
-        )
+        amplitude_errors = relative_rms * normal_sample(losses.size, SHAKING)
         losses = np.maximum(losses + amplitude_errors, LEAST_LEFT - 1.0)
         return replace(self, spread=replace(self.spread, losses=losses), shaking=outside_lines)
 

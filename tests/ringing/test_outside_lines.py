@@ -12,8 +12,10 @@ import pytest
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import RecordingError
 from bayesbl.measurement.direct_route import require_unshaken
-from bayesbl.noise.outside_lines import without_outside_lines
+from bayesbl.noise.impact_scatter import early_and_late
+from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
 from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.ringing.covariance import FACTORS
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.symbols import AMPLITUDE
 
@@ -73,6 +75,18 @@ def test_a_line_on_top_leaves_the_amplitude_where_it_was_and_widens_it() -> None
         alone.optimum.symbols[AMPLITUDE], abs=2.0 * sd
     )
     assert math.sqrt(beside.ringing[1][0, 0]) == pytest.approx(8.0 / math.sqrt(2.0), rel=0.2)
+
+
+def test_errors_by_shaking_and_by_early_and_late_impacts_are_independent() -> None:
+    """Together as wide as independent errors; if they were ordered alike, they would add up."""
+    point = Estimator().estimate(turning(1), np.random.SeedSequence(1))
+    delays = np.tile([1.0, -1.0], 10)
+    losses = 0.05 * early_and_late(delays, 0.01 * np.eye(20), np.zeros(20), np.ones(FACTORS))
+    late = replace(point, spread=replace(point.spread, losses=losses))
+    size_rpm = 0.05 * point.optimum.symbols[AMPLITUDE]
+    errors = late.shaken((OutsideLine(9.7, size_rpm),)).spread.losses - losses
+    chance = 1.0 / math.sqrt(FACTORS)
+    assert abs(np.corrcoef(losses, errors)[0, 1]) < 3.0 * chance
 
 
 @pytest.mark.long
