@@ -117,20 +117,23 @@ UPPER_BOUND_LEVEL = 0.95
 """Probability of the one-sided bound that is reported if the gap may be zero."""
 
 
-OUTCOMES: Mapping[Outcome, str] = {
-    "converged": "",
-    "usable": """
+LIMITING, WITHHOLDING = (
+    frozenset(codes.split())
+    for codes in (
+        """
         sampling_doubt mended few_curve_draws by_amplitude_instead gap_not_told bench_lacks
-        allows_for_misfit negative_law play_not_told load_coasts""",
-    "withheld": """
+        allows_for_misfit negative_law play_not_told load_coasts
+        """,
+        """
         sampling no_flank_change second_sampler ringing_contradicts_bench beyond_curve speed_unit
         box_search_missed no_baseline other_speed other_rotation other_bench
         recording_contradicts_bench repeats_beyond_noise unexplained sheet_contradicted
         tolerance_decides gap_unseen start_unknown ramps_held nothing_told held_by_weight
-        weight_unknown skew_or_play positions_exchanged known_gaps_disagree""",
-}
-"""Outcomes of an answer from best to worst, each with the codes that cause it on any route. All
-other codes are notes."""
+        weight_unknown skew_or_play positions_exchanged known_gaps_disagree
+        """,
+    )
+)
+"""Codes that limit or withhold an answer on any route. All other codes are notes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +148,7 @@ class Reason(Flaw):
     @property
     def withholds(self) -> bool:
         """Whether this reason withholds the answer."""
-        return outcome_of([self]) == "withheld"
+        return self.code in WITHHOLDING
 
     @property
     def stored(self) -> dict[str, Any]:
@@ -164,7 +167,9 @@ def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
 def outcome_of(reasons: Iterable[Reason]) -> Outcome:
     """The worst outcome that these reasons cause."""
     codes = {reason.code for reason in reasons}
-    return [o for o, text in OUTCOMES.items() if o == "converged" or codes & {*text.split()}][-1]
+    if codes & WITHHOLDING:
+        return "withheld"
+    return "usable" if codes & LIMITING else "converged"
 
 
 class CheckItem(TypedDict):

@@ -419,7 +419,7 @@ def _numbers(
             **intervals,
             **shared.intervals(posterior, ("width_rad", "scatter_rad"), section),
         },
-        "noise": {"kind": "repeated"},
+        "noise": shared.no_speed_noise("repeated"),
     }
 
 

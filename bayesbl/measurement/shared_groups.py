@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.sections import Interval as IntervalConfig
+from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, Variable, labels, table
@@ -225,6 +226,11 @@ def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
         "budget": dict(zip(*(budget[n].values.tolist() for n in ("source", "share")), strict=True)),
         "diagnostics": diagnostics,
     }
+
+
+def no_speed_noise(kind: str) -> NoiseSummary:
+    """Noise of a route that compares no speed."""
+    return dict(kind=kind, order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
 
 
 def intervals(

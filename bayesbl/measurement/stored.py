@@ -67,12 +67,11 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         tree.attrs["limit"] = str(config.joint.limit)
     tree.attrs["warnings"] = list(measured.warnings)
     summary = {
-        "reason": _reason_of_all(measured),
         "curve": next((result.curve for result in routes if result.curve), None),
         "answer": {"route": measured.route, **measured.why.stored},
     }
     if isinstance(config, CompareConfig):
-        summary |= _compared(measured, config)
+        summary |= {"reason": _reason_of_all(measured), **_compared(measured, config)}
         summary["wear"] = None
         if wear is not None:
             dated = summarise_wear(
@@ -156,17 +155,14 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
 
 
 def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
-    withholding = [reason.stored for reason in answer.withholding]
     draws = None if answer.is_withheld else answer.delta_rad
     common = common_numbers(answer.groups)
-    no_speed_noise = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
     summary = {
         "route": result.route,
         "curve": result.curve or None,
         "amplitude_rpm": None,
         "optimum": {},
         **answer.numbers,
-        "noise": no_speed_noise | answer.numbers["noise"],
         **common,
         "delta_rad": None if draws is None else _interval(draws, config),
         "delta_upper_bound_rad": answer.upper_bound_rad,
@@ -177,19 +173,16 @@ def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> di
                 {**reason.stored, "withholds": reason.withholds} for reason in answer.reasons
             ],
         },
-        "reason": one_of(withholding),
+        "reason": one_of([reason.stored for reason in answer.withholding]),
         "model_check": answer.model_check,
     }
-    limit_rad = limit_rad_of(config)
-    if limit_rad is not None:
+    if (limit_rad := limit_rad_of(config)) is not None:
         summary["limit_rad"] = limit_rad
-        probability = (
+        summary["probability_above_limit"] = (
             None if draws is None or result.by_other_joint else float(np.mean(draws > limit_rad))
         )
-        summary["probability_above_limit"] = probability
-    if config.joint.limit is not None:
-        limit, windup_rad = config.joint.limit, windup_rad_of(config)
-        measured = None
+    if (limit := config.joint.limit) is not None:
+        windup_rad, measured = windup_rad_of(config), None
         if (delta := summary["delta_rad"]) is not None:
             ends = {key: limit.stated(delta[key], windup_rad) for key in ("median", "low", "high")}
             measured = {**delta, **ends}

@@ -392,7 +392,7 @@ def _numbers(
         "probability_of_play": transmission.probability_of_play,
         "reversals": transmission.reversals,
         "parameters": parameters,
-        "noise": {"kind": "drift"},
+        "noise": shared.no_speed_noise("drift"),
     }
 
 
