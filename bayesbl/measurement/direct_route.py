@@ -689,32 +689,29 @@ def _noise_only(
     """Prior, posterior and predictions of the model with bench and noise alone."""
     model = posterior.fit.model
     observation, noise = model.recordings[index], model.noise[index]
-    chains, count, d = posterior.draws.shape
+    chains, _, d = posterior.draws.shape
 
-    def predicted(points: FloatArray) -> dict[str, FloatArray]:
-        selected = points.reshape(-1, d)[: chains * shared.REPLICATES]
-        speeds = model.signals(selected, index) + noise.draw(
-            observation.samples, len(selected), generator
-        )
-        channels = dict(zip(observation.channels, speeds.swapaxes(0, 1), strict=True))
-        return shared.replicates(chains, channels)
+    def predictions(points: FloatArray) -> dict[str, FloatArray]:
+        signals = model.signals(points, index)
+        signals = signals + noise.draw(observation.samples, chains, generator)
+        channels = zip(observation.channels, signals.swapaxes(0, 1), strict=True)
+        return shared.replicates(dict(channels))
 
     prior = model.prior_draws(shared.PRIOR_DRAWS, generator)
     groups: dict[Group, object] = {
         OF_NOISE["prior"]: _draws(posterior, observation.name, prior[None]),
-        shared.PRIOR_PREDICTIVE: predicted(prior),
+        shared.PRIOR_PREDICTIVE: predictions(prior[:chains]),
     }
     if posterior.noise_only is None:
         return groups
     draws = posterior.noise_only.draws
     densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
     places = own_unknowns(posterior, observation.name)
-    selected = draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES]
     return groups | {
         OF_NOISE["noise_posterior"]: _draws(posterior, observation.name, draws),
         shared.LOG_LIKELIHOOD: {"recording": posterior.noise_only.log_likelihood[index]},
         OF_NOISE["log_prior"]: {name: densities[..., i] for name, i in places.items()},
-        shared.POSTERIOR_PREDICTIVE: predicted(selected),
+        shared.POSTERIOR_PREDICTIVE: predictions(draws[:, 0]),
     }
 
 

@@ -51,6 +51,15 @@ class MeasuredRinging:
     centre: FloatArray
     covariance: FloatArray
 
+    def given_amplitude(self, scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Slope of (ln ω, ln τ) over A, (2,), and their covariance at a known A, (2, 2).
+
+        ``scatter``: covariance of (A, ln ω, ln τ) beyond that of the fit, (3, 3).
+        """
+        total = self.covariance + scatter
+        slope = total[1:, 0] / total[0, 0]
+        return slope, total[1:, 1:] - np.outer(slope, total[0, 1:])
+
 
 @dataclass(frozen=True, slots=True)
 class Gap:
@@ -225,10 +234,8 @@ def _log_match(
     curve = draws.curve
     ringing = curve.ringing
     assert ringing is not None
-    nearest = int(np.argmin(np.abs(curve.knots_rpm - snapshot.centre[0])))
-    covariance = snapshot.covariance + ringing.scatter[nearest]
-    gain = covariance[1:, 0] / covariance[0, 0]
-    conditional = covariance[1:, 1:] - np.outer(gain, covariance[0, 1:])
+    _, scatter, _ = curve.ringing_at(snapshot.centre[0])
+    slope, covariance = snapshot.given_amplitude(scatter)
     first_row = np.zeros(amplitude_rpm.size, dtype=np.int64)
     bench_rows = draws.rows.get("bench", first_row)
     expected = [
@@ -239,10 +246,10 @@ def _log_match(
             (ringing.log_decay, ringing.decay_draws),
         )
     ]
-    measured = snapshot.centre[1:, None] + gain[:, None] * (amplitude_rpm - snapshot.centre[0])
+    measured = snapshot.centre[1:, None] + slope[:, None] * (amplitude_rpm - snapshot.centre[0])
     difference = measured - np.stack(expected)
     return np.asarray(
-        -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(conditional), difference)
+        -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(covariance), difference)
     )
 
 
