@@ -186,6 +186,17 @@ class GapCurve:
         expected = np.array([np.interp(x, log_knots, line) for line in lines])
         return expected, ringing.scatter[nearest], bench
 
+    def at_rows(
+        self, table: FloatArray, rows: NDArray[np.int64], amplitude_rpm: FloatArray
+    ) -> FloatArray:
+        """Row ``rows[i]`` of a table (m, g) over the knots, at ``amplitude_rpm[i]``, shape
+        (count,): linear in ln A between the knots, constant beyond them."""
+        logs = np.log(self.knots_rpm)
+        x = np.log(np.clip(amplitude_rpm, *self.amplitude_range_rpm))
+        right = np.clip(np.searchsorted(logs, x), 1, logs.size - 1)
+        weight = (x - logs[right - 1]) / (logs[right] - logs[right - 1])
+        return np.asarray((1.0 - weight) * table[rows, right - 1] + weight * table[rows, right])
+
     def _inside(self, amplitude_rpm: FloatArray) -> FloatArray:
         departure = np.interp(np.log(amplitude_rpm), np.log(self.knots_rpm), self.correction)
         return np.asarray(polynomial.polyval(amplitude_rpm, self.coefficients) * np.exp(departure))
@@ -217,30 +228,8 @@ class CurveDraws:
         """δ in rad for A in rpm, both of shape (count,); departures by source add up in ln δ."""
         departure = np.zeros(amplitude_rpm.size)
         for name, rows in self.rows.items():
-            departure += interpolate_rows(
-                self.curve.knots_rpm, self.curve.sources[name], rows, amplitude_rpm
-            )
+            departure += self.curve.at_rows(self.curve.sources[name], rows, amplitude_rpm)
         return np.asarray(self.curve.gap(amplitude_rpm) * np.exp(departure))
-
-
-def interpolate_rows(
-    knots_rpm: FloatArray,
-    table: FloatArray,
-    rows: NDArray[np.int64],
-    amplitude_rpm: FloatArray,
-) -> FloatArray:
-    """Row ``rows[i]`` of a table (m, g) over the knots, at ``amplitude_rpm[i]``; constant beyond
-    them.
-
-    Returns
-    -------
-    Shape (count,), linear in ln A between knots.
-    """
-    logs = np.log(knots_rpm)
-    x = np.log(np.clip(amplitude_rpm, knots_rpm[0], knots_rpm[-1]))
-    right = np.clip(np.searchsorted(logs, x), 1, logs.size - 1)
-    weight = (x - logs[right - 1]) / (logs[right] - logs[right - 1])
-    return np.asarray((1.0 - weight) * table[rows, right - 1] + weight * table[rows, right])
 
 
 PUBLISHED_SCALE_RAD = 1e-4

@@ -452,16 +452,8 @@ def _require_growing(name: str, gap_rad: FloatArray, amplitude_rpm: FloatArray) 
 
 def _log_values(row: SweepRow, model: DisturbanceModel) -> FloatArray:
     """(ln A, ln ω, ln τ) at each gap and start angle, shape (g, s, 3)."""
-    return np.log(
-        np.stack(
-            [
-                row.amplitude_rpm,
-                row.symbol(FREQUENCY, model.fixed),
-                row.symbol(DECAY, model.fixed),
-            ],
-            axis=-1,
-        )
-    )
+    symbols = [row.symbol(name, model.fixed) for name in (FREQUENCY, DECAY)]
+    return np.log(np.stack([row.amplitude_rpm, *symbols], axis=-1))
 
 
 def departures(row: SweepRow, nominal: SweepRow, model: DisturbanceModel) -> FloatArray:

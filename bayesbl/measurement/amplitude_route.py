@@ -321,8 +321,10 @@ class AmplitudeMeasurer(CurveMeasurer):
             if abs(item["measured"] / item["expected"] - 1.0) > 0.5 * (high - low)
         ]
         causes = [cause for item in differing for cause in COULD_BE[item["quantity"]]]
-        details = [{key: value for key, value in item.items() if key != "z"} for item in differing]
-        reasons = [Reason("other_bench", values) for values in details]
+        reasons = [
+            Reason("other_bench", {key: value for key, value in item.items() if key != "z"})
+            for item in differing
+        ]
         compared = joint_check(
             check["agrees"] and not differing,
             [*check["items"], *items],

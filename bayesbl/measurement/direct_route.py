@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -82,8 +81,6 @@ BOUNDED = ("gap_unseen",)
 
 EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
 """Gaps of a new, a used and a worn reducer."""
-
-NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -719,13 +716,12 @@ def _predictive(posterior: DirectPosterior, index: int) -> dict[str, object]:
     fit = posterior.fit
     observation = fit.model.recordings[index]
     simulated = fit.simulated(index)
-    values: dict[str, object] = {"rotation_period_s": observation.rotation_period_s}
-    for channel, measured, model in zip(
-        observation.channels, observation.signals, simulated, strict=True
-    ):
-        values[f"simulated_{channel}"] = model
-        values[f"residual_{channel}"] = measured - model
-    return values
+    residuals = observation.signals - simulated
+    return {
+        "rotation_period_s": observation.rotation_period_s,
+        **{f"simulated_{c}": row for c, row in zip(observation.channels, simulated, strict=True)},
+        **{f"residual_{c}": row for c, row in zip(observation.channels, residuals, strict=True)},
+    }
 
 
 def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:

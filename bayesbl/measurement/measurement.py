@@ -10,7 +10,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, repeat
 from typing import Any, Literal, TypedDict
 
 import numpy as np
@@ -158,9 +157,8 @@ class Reason(Flaw):
 
 def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
     """Reasons from the sampler: failures withhold the answer, doubts limit it."""
-    codes = chain([diagnostics.code], repeat("sampling"))
-    failed = zip(codes, diagnostics.failures, strict=False)
-    flaws = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
+    flaws = [("sampling" if k else diagnostics.code, f) for k, f in enumerate(diagnostics.failures)]
+    flaws += [("sampling_doubt", flaw) for flaw in diagnostics.doubts]
     return [Reason(code, {"flaw": flaw.code, **flaw.values}) for code, flaw in flaws]
 
 
@@ -200,13 +198,7 @@ class JointCheck(TypedDict):
 
 def check_item(quantity: str, measured: float, expected: float, unit: str, z: float) -> CheckItem:
     """Make an item; ``unit`` is that of both values, empty for a pure number."""
-    return {
-        "quantity": quantity,
-        "measured": measured,
-        "expected": expected,
-        "unit": unit,
-        "z": z,
-    }
+    return CheckItem(quantity=quantity, measured=measured, expected=expected, unit=unit, z=z)
 
 
 def joint_check(

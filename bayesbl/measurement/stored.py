@@ -38,10 +38,10 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     if gap_draws:
         gaps = {name: datasets({GAP: {"delta_rad": draws}}) for name, draws in gap_draws.items()}
         groups |= _stacked(gaps, config)
+    ringing = next((r for r in routes if r.ringing_change is not None), measured)
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):
-        ringing = next((r.ringing_change for r in routes if r.ringing_change is not None), None)
-        groups["change"] = change_group(gap_draws, ringing)
+        groups["change"] = change_group(gap_draws, ringing.ringing_change)
         if not (measured.without_gap or measured.by_other_joint):
             wear, wear_reason = wear_of(
                 config, measured.answers, task.seeds.wear, measured.change_reason
@@ -71,7 +71,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         "answer": {"route": measured.route, **measured.why.stored},
     }
     if isinstance(config, CompareConfig):
-        summary |= {"reason": _reason_of_all(measured), **_compared(measured, config)}
+        summary |= {"reason": _reason_of_all(measured), **_compared(measured, ringing, config)}
         summary["wear"] = None
         if wear is not None:
             dated = summarise_wear(
@@ -190,26 +190,19 @@ def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> di
     return summary
 
 
-def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
-    count = len(measured.answers)
+def _compared(measured: Measurement, ringing: Measurement, config: CompareConfig) -> dict[str, Any]:
+    """Keys of a comparison; ``ringing``: the route that measured the change of the ringing."""
+    last = len(measured.answers) - 1
     snapshots = [
-        {
-            "name": measured.answers[number].name,
-            "probability_above_limit": None,
-            **_answered(measured, number, config),
-        }
-        for number in range(count)
+        {"name": answer.name, "probability_above_limit": None, **_answered(measured, n, config)}
+        for n, answer in enumerate(measured.answers)
     ]
-    ringing = next((r for r in (measured, *measured.beside) if r.ringing_change is not None), None)
-    ringing_change = None
     # With a curve, it is δ that is withheld, perhaps for the curve alone: report the ringing.
-    if ringing is not None and (
-        ringing.curve or not (ringing.answers[0].is_withheld or ringing.answers[-1].is_withheld)
-    ):
-        ringing_change = ringing.ringing_change
+    is_told = ringing.curve or not any(ringing.answers[end].is_withheld for end in (0, -1))
+    ringing_change = ringing.ringing_change if is_told else None
     return {
         "snapshots": snapshots,
-        **_change(measured, 0, count - 1, config),
+        **_change(measured, 0, last, config),
         "changes": [
             {"from": before, "to": after, **_change(measured, n, n + 1, config)}
             for n, (before, after) in enumerate(pairwise(a.name for a in measured.answers))
@@ -221,7 +214,7 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         "same_joint": measured.same_joint,
         "routes": {
             result.route: {
-                **_change(result, 0, count - 1, config),
+                **_change(result, 0, last, config),
                 "outcome": result.outcome,
                 "reason": _reason_of_all(result),
                 "same_joint": result.same_joint,

@@ -110,18 +110,8 @@ TRANSMISSION = Group(
     """),
 )
 
-QUANTITIES = (
-    "play_rad",
-    "lost_motion_rad",
-    "held_windup_rad",
-    "windup_rad_per_nm",
-    "gear_ratio",
-    "channel_skew_s",
-    "transmission_error_rad",
-)
-
 OF_PLAY = ("play_rad", "lost_motion_rad", "held_windup_rad")
-"""Of these, what is withheld with δ: a load on one flank shows none of them."""
+"""Of the posterior, what is withheld with δ: a load on one flank shows none of them."""
 
 
 class TwoEncoderMeasurer(Measurer):
@@ -218,10 +208,8 @@ class TwoEncoderMeasurer(Measurer):
 
     def _is_at_output(self, transmission: Transmission) -> bool:
         """Whether the motor's position was divided by the ratio already; its torque may not be."""
-        stated, measured = (
-            self.config.joint.gear_ratio,
-            float(np.median(transmission.draws["gear_ratio"])),
-        )
+        stated = self.config.joint.gear_ratio
+        measured = float(np.median(transmission.draws["gear_ratio"]))
         return stated is not None and abs(np.log(abs(measured))) < SAME_RATIO < abs(np.log(stated))
 
     def _probability_of_hidden_play(self, transmission: Transmission) -> float:
@@ -372,14 +360,13 @@ def _numbers(
     transmission: Transmission, posterior: xr.Dataset, of: IntervalConfig, *, is_withheld: bool
 ) -> dict[str, Any]:
     """The contract's keys, and beside them all that both encoders tell."""
-    names = [name for name in QUANTITIES if np.isfinite(posterior[name].values).all()]
-    if is_withheld:
-        names = [name for name in names if name not in OF_PLAY]
-    parameters = shared.intervals(posterior, names, of)
+    left_out = {shared.DELTA.name, *(OF_PLAY if is_withheld else ())}
+    told = [v.name for v in POSTERIOR.variables if v.name not in left_out]
+    finite = [name for name in told if np.isfinite(posterior[name].values).all()]
+    parameters = shared.intervals(posterior, finite, of)
+    maybe = ("play_rad", "lost_motion_rad", "windup_rad_per_nm")
     return {
-        "play_rad": parameters.get("play_rad"),
-        "lost_motion_rad": parameters.get("lost_motion_rad"),
-        "windup_rad_per_nm": parameters.get("windup_rad_per_nm"),
+        **{name: parameters.get(name) for name in maybe},
         "gear_ratio": parameters["gear_ratio"],
         "channel_skew_s": parameters["channel_skew_s"],
         "transmission_error": {
