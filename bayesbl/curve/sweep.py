@@ -355,7 +355,7 @@ def swept_curve(
     fingerprint: str,
     seed: np.random.SeedSequence,
     draws: SweptDraws | None = None,
-) -> tuple[GapCurve, Regression]:
+) -> GapCurve:
     """Regress δ on A over a nominal sweep, with the uncertainty of the bench as a source.
 
     Raises
@@ -380,7 +380,7 @@ def swept_curve(
     by_bench, ringing = _bench_source(nominal, values, departures, knots)
     if draws is not None:
         sources["bench"] = by_bench
-    curve = GapCurve(
+    return GapCurve(
         name=name,
         coefficients=coefficients,
         knots_rpm=knots,
@@ -390,7 +390,6 @@ def swept_curve(
         fingerprint=fingerprint,
         ringing=ringing,
     )
-    return curve, regression
 
 
 def degree_reports(nominal: SweepRow) -> dict[int, DegreeSummary]:
@@ -525,8 +524,6 @@ class Regression:
         Shape (g,).
     lack_of_fit
         Posterior mean of g at the knots, relative, shape (g,).
-    lack_of_fit_size, lack_of_fit_length
-        Standard deviation (relative) and length (in ln A) of the process.
     log_evidence
         Restricted log likelihood, for comparing degrees.
     """
@@ -534,8 +531,6 @@ class Regression:
     coefficients: FloatArray
     knots_rpm: FloatArray
     lack_of_fit: FloatArray
-    lack_of_fit_size: float
-    lack_of_fit_length: float
     log_evidence: float
     _coefficient_root: FloatArray
     _sensitivity: FloatArray
@@ -623,8 +618,6 @@ def regress(
         coefficients=coefficients,
         knots_rpm=knots_rpm,
         lack_of_fit=kriging @ (ones - columns @ scaled),
-        lack_of_fit_size=float(size),
-        lack_of_fit_length=float(length),
         log_evidence=float(evidence),
         _coefficient_root=rescale[:, None] * np.linalg.cholesky(covariance),
         _sensitivity=-(kriging @ columns) / rescale,

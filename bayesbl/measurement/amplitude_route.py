@@ -37,7 +37,7 @@ from bayesbl.measurement.measurement import (
     outcome_of,
     sampling_reasons,
 )
-from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
+from bayesbl.measurement.same_joint import COULD_BE, RINGING, change_reason, same_joint
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.noise.rotation_noise import Noise
@@ -721,9 +721,6 @@ def measured_ringing(fit: Fit) -> MeasuredRinging:
 
 # The ringing, compared with that of the bench.
 
-_UNIT_SIZES = np.array([2.0 * math.pi, 1.0])
-"""1 Hz of the frequency in rad/s, and 1/s of the decay."""
-
 
 def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> JointCheck:
     """Compare frequency and decay with the curve's at the measured amplitude.
@@ -735,13 +732,14 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
         return joint_check()
     expected, scatter, bench = curve.ringing_at(measured.centre[0])
     _, covariance = measured.given_amplitude(scatter)
-    z = (measured.centre[1:] - expected) / np.sqrt(np.diag(covariance + bench))
-    found, stated = np.exp(measured.centre[1:]) / _UNIT_SIZES, np.exp(expected) / _UNIT_SIZES
-    items = [
-        check_item(quantity, float(found[k]), float(stated[k]), unit, float(z[k]))
-        for k, (quantity, unit) in enumerate(((FREQUENCY, "Hz"), (DECAY, "1/s")))
-        if measured.covariance[k + 1, k + 1] > 0.0  # a fixed symbol was not measured
-    ]
+    sds = np.sqrt(np.diag(covariance + bench))
+    items = []
+    for k, (quantity, unit, size) in enumerate(RINGING):
+        if measured.covariance[k + 1, k + 1] > 0.0:  # else a fixed symbol was not measured
+            found, log = float(measured.centre[k + 1]), float(expected[k])
+            z = (found - log) / float(sds[k])
+            item = check_item(quantity, math.exp(found) / size, math.exp(log) / size, unit, z)
+            items.append(item)
     agrees = all(reason.code != CONTRADICTED for reason in gap.reasons)
     causes = [] if agrees else [cause for item in items for cause in COULD_BE[item["quantity"]]]
     return joint_check(agrees, items, causes)

@@ -504,7 +504,7 @@ class CurveMeasurer(Measurer):
         swept = problem.draws(nominal, count, draw_seed, workers, report)
         if report is not None:
             report(1, 1)
-        curve, _ = swept_curve(
+        curve = swept_curve(
             str(self.config.estimator.bench),
             nominal,
             model,

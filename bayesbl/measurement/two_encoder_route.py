@@ -226,28 +226,22 @@ class TwoEncoderMeasurer(Measurer):
         upper = upper_bound_rad(transmission)
         lost = float(np.median(transmission.draws["lost_motion_rad"]))
         lost_track = float(np.std(transmission.draws["channel_skew_s"])) > LONGEST_SKEW_S
+        probability = {"probability": transmission.probability_of_play}
         if lost_track or transmission.probability_of_play < UPPER_BOUND_LEVEL:
             if lost_track or upper > TOO_WIDE * float(np.ptp(transmission.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
             elif self._probability_of_hidden_play(transmission) > 1.0 - UPPER_BOUND_LEVEL:
                 if np.isnan(transmission.gravity_holds):
-                    yield Reason(
-                        "weight_unknown", {"probability": transmission.probability_of_play}
-                    )
+                    yield Reason("weight_unknown", probability)
                 else:
                     yield Reason("held_by_weight", {"share": transmission.gravity_holds})
             else:
-                yield Reason(
-                    "play_not_told",
-                    {
-                        "probability": transmission.probability_of_play,
-                        "upper_mrad": 1e3 * upper,
-                        "lost_mrad": 1e3 * lost,
-                    },
-                )
+                bounds = {"upper_mrad": 1e3 * upper, "lost_mrad": 1e3 * lost}
+                yield Reason("play_not_told", {**probability, **bounds})
+        skews_ms = 1e3 * transmission.draws["channel_skew_s"]
+        skew = {"skew_ms": float(np.median(skews_ms))}
         if transmission.skew_or_play:
-            skew_ms = 1e3 * float(np.median(transmission.draws["channel_skew_s"]))
-            yield Reason("skew_or_play", {"skew_ms": skew_ms})
+            yield Reason("skew_or_play", skew)
         if transmission.reversals < FEW_REVERSALS:
             yield Reason("few_reversals", {"count": transmission.reversals})
         if transmission.friction_nm is None:
@@ -266,10 +260,8 @@ class TwoEncoderMeasurer(Measurer):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(measured.std()) / stated, 1e-3):
                 yield Reason("ratio_differs", {"stated": stated, "seen": middle})
-        draws = 1e3 * transmission.draws["channel_skew_s"]
-        skew = float(np.median(draws))
-        if abs(skew) > max(1.0, 3.0 * float(draws.std())):
-            yield Reason("channels_skewed", {"skew_ms": skew})
+        if abs(skew["skew_ms"]) > max(1.0, 3.0 * float(skews_ms.std())):
+            yield Reason("channels_skewed", skew)
         if _misfit_lasts(transmission):
             values = {"misfit_mrad": 1e3 * transmission.misfit_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
