@@ -100,7 +100,7 @@ def test_a_load_of_another_gap_is_told_first(tmp_path, capsys):
     assert "delta_rad" in read_tree(out / "result.nc")["two_encoders/posterior"]
     first, *_ = lead(found)
     assert first == found["reason"]["text"]
-    assert "both encoders" in first
+    assert "the two encoders of motor and load" in first
     assert "two encoders compare the positions" in which(found)
     assert first.split(" disagree")[0] in " ".join(capsys.readouterr().out.split())
 
