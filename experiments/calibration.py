@@ -59,7 +59,7 @@ from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.direct_route import NO_DRIFT, direct_reasons, fit_directly
+from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.measurement import outcome_of
 from bayesbl.noise.process import NoiseModel
@@ -326,7 +326,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed)
+    found = fit_directly(bench, seen, row.gap_rad, {}, FAST_DIRECT, seed)
     posterior = found.posterior
     withheld = any(outcome_of(direct_reasons(found, place)) == "withheld" for place in (0, 1))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)

@@ -47,7 +47,7 @@ def curve(
     nominal = problem.nominal(seeds[0], 1)
     drawn = problem.draws(nominal, benches, seeds[1], 1)
     seconds = time.perf_counter() - begin
-    return swept_curve("counts", nominal, model, 3, "{}", seeds[2], drawn)[0], seconds
+    return swept_curve("counts", nominal, model, 3, "{}", seeds[2], drawn), seconds
 
 
 def width(found: GapCurve, amplitude_rpm: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.sections import Items
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, SMALLEST_GAP_RAD
-from bayesbl.measurement.direct_route import NO_DRIFT, direct_reasons, fit_directly
+from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, outcome_of, upper_bound
 from bayesbl.measurement.motion_verdict import EXCLUDED_SHARE
 from bayesbl.probabilities import normal_isf
@@ -101,7 +101,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     truth_seed, fit_seed = seed.spawn(2)
     bench, gap = _bench(row), row.gaps_rad[index % len(row.gaps_rad)]
     recordings = _recorded(row, bench, gap, np.random.default_rng(truth_seed))
-    found = fit_directly(bench, recordings, RANGE_RAD, NO_DRIFT, SamplerSettings(), fit_seed)
+    found = fit_directly(bench, recordings, RANGE_RAD, {}, SamplerSettings(), fit_seed)
     reasons = direct_reasons(found, 0)
     drawn = found.posterior.values(GAP, SNAPSHOTS[0])
     withheld, change = outcome_of(reasons) == "withheld", found.change_rad

@@ -37,7 +37,6 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.observed import observed
 from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.direct_route import (
-    NO_DRIFT,
     DirectMatch,
     check_of_comparison,
     direct_reasons,
@@ -175,7 +174,7 @@ def _matched(
     bench: Bench, recordings: Sequence[Recording], seed: np.random.SeedSequence
 ) -> DirectMatch:
     seen = [observed(recording, bench) for recording in recordings]
-    return fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed)
+    return fit_directly(bench, seen, GAP_RANGE_RAD, {}, FAST_DIRECT, seed)
 
 
 def _withheld(found: DirectMatch) -> bool:

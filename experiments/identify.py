@@ -38,7 +38,7 @@ from bayesbl.identification.groups import reason_of
 from bayesbl.identification.identify import Problem, identified_bench, identify, parameter_draws
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_reasons, fit_directly
+from bayesbl.measurement.direct_route import DirectMatch, direct_reasons, fit_directly
 from bayesbl.measurement.measurement import outcome_of
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.sampling.chains import SamplerSettings
@@ -176,7 +176,7 @@ def measured(
     prefix: str,
 ) -> dict[str, float]:
     """The second gap and the change, by this bench."""
-    match = fit_directly(bench, pair, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed)
+    match = fit_directly(bench, pair, GAP_RANGE_RAD, {}, FAST_DIRECT, seed)
     gap, change = match.posterior.values(GAP, pair[1].name), match.change_rad
     return {
         f"{prefix or 'pair_'}withheld": float(is_withheld(match)),

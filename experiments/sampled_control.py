@@ -33,7 +33,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import NO_DRIFT, direct_reasons, fit_directly
+from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.measurement import outcome_of
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 
@@ -124,7 +124,7 @@ def _compared(
     seed: np.random.SeedSequence,
 ) -> dict[str, float]:
     seen = [observed(r, bench, s) for r, s in zip(recordings, speeds, strict=True)]
-    found = fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed)
+    found = fit_directly(bench, seen, GAP_RANGE_RAD, {}, FAST_DIRECT, seed)
     draws = np.log(found.posterior.values(GAP, recordings[1].name))
     withheld = outcome_of(direct_reasons(found, 1, level=LEVEL)) == "withheld"
     named = {c.name for c in found.joint.changed}

@@ -39,7 +39,6 @@ from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import TAILS
 from bayesbl.matching.predictive_check import agrees
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
-from bayesbl.measurement.direct_route import NO_DRIFT
 from bayesbl.model_search.always_in import directions, linearised_fit, with_far_terms_freed
 from bayesbl.model_search.joint_change import find_changes
 from bayesbl.model_search.pipeline import direct_unknowns
@@ -158,7 +157,7 @@ def _answered(
     ]
     model = SimulatedSignals(bench, seen, unknowns, [noise_of(s, s.signals) for s in seen])
     nominal = refitted(model, fit_simulated(model, np.array(point)))
-    among = directions(bench, NO_DRIFT)
+    among = directions(bench, {})
     rest = with_far_terms_freed(nominal, among)
     withheld, told = False, any(u.added for u in rest.fit.model.unknowns)
     if not agrees(rest.check):

@@ -105,7 +105,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
         files.append(find_ramps(torque, position))
     flanks = find_flanks(files, RESOLUTION_RAD)
     nothing = {name: math.nan for name in COLUMNS}
-    if not flanks.answered or flanks.level is None:
+    if flanks is None or not flanks.answered:
         return {**nothing, "answered": 0.0}
     widths = Widths("case", tuple(flanks.level.widths()), RESOLUTION_RAD)
     settings = SamplerSettings(ensembles=2, max_steps=STEPS, level=LEVEL)

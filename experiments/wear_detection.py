@@ -44,7 +44,7 @@ from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
+from bayesbl.measurement.direct_route import fit_directly
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
@@ -327,7 +327,7 @@ def _directly(
         observed(replace(recording, name=name), bench)
         for recording, name in zip(recordings, SNAPSHOTS, strict=True)
     ]
-    found = fit_directly(bench, seen, row.prior_rad, NO_DRIFT, FAST_DIRECT, seed)
+    found = fit_directly(bench, seen, row.prior_rad, {}, FAST_DIRECT, seed)
     posterior = found.posterior
     withheld = posterior.diagnostics.outcome == "withheld" or any(map(found.repeating, SNAPSHOTS))
     before, after = (posterior.values(GAP, name) for name in SNAPSHOTS)

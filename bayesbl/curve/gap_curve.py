@@ -166,6 +166,37 @@ class GapCurve:
         """Standard deviation of A over start angles at the given A, rpm, same shape."""
         return np.asarray(np.interp(amplitude_rpm, self.knots_rpm, self.start_angle_sd_rpm))
 
+    def ringing_at(self, amplitude_rpm: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Expected (ln ω, ln τ) at an amplitude, of a curve with ringing.
+
+        Returns
+        -------
+        The two, linear in ln A between the knots, shape (2,). Covariances at the nearest knot: of
+        (A, ln ω, ln τ) over start angles, (3, 3), and of (ln ω, ln τ) over the bench's tolerances,
+        (2, 2).
+        """
+        ringing = self.ringing
+        assert ringing is not None
+        log_knots = np.log(self.knots_rpm)
+        x = np.log(np.clip(amplitude_rpm, *self.amplitude_range_rpm))
+        nearest = int(np.argmin(np.abs(log_knots - x)))
+        draws = np.stack([ringing.frequency_draws[:, nearest], ringing.decay_draws[:, nearest]])
+        bench = np.cov(draws) if draws.shape[1] > 1 else np.zeros((2, 2))
+        lines = (ringing.log_frequency, ringing.log_decay)
+        expected = np.array([np.interp(x, log_knots, line) for line in lines])
+        return expected, ringing.scatter[nearest], bench
+
+    def at_rows(
+        self, table: FloatArray, rows: NDArray[np.int64], amplitude_rpm: FloatArray
+    ) -> FloatArray:
+        """Row ``rows[i]`` of a table (m, g) over the knots, at ``amplitude_rpm[i]``, shape
+        (count,): linear in ln A between the knots, constant beyond them."""
+        logs = np.log(self.knots_rpm)
+        x = np.log(np.clip(amplitude_rpm, *self.amplitude_range_rpm))
+        right = np.clip(np.searchsorted(logs, x), 1, logs.size - 1)
+        weight = (x - logs[right - 1]) / (logs[right] - logs[right - 1])
+        return np.asarray((1.0 - weight) * table[rows, right - 1] + weight * table[rows, right])
+
     def _inside(self, amplitude_rpm: FloatArray) -> FloatArray:
         departure = np.interp(np.log(amplitude_rpm), np.log(self.knots_rpm), self.correction)
         return np.asarray(polynomial.polyval(amplitude_rpm, self.coefficients) * np.exp(departure))
@@ -197,30 +228,8 @@ class CurveDraws:
         """δ in rad for A in rpm, both of shape (count,); departures by source add up in ln δ."""
         departure = np.zeros(amplitude_rpm.size)
         for name, rows in self.rows.items():
-            departure += interpolate_rows(
-                self.curve.knots_rpm, self.curve.sources[name], rows, amplitude_rpm
-            )
+            departure += self.curve.at_rows(self.curve.sources[name], rows, amplitude_rpm)
         return np.asarray(self.curve.gap(amplitude_rpm) * np.exp(departure))
-
-
-def interpolate_rows(
-    knots_rpm: FloatArray,
-    table: FloatArray,
-    rows: NDArray[np.int64],
-    amplitude_rpm: FloatArray,
-) -> FloatArray:
-    """Row ``rows[i]`` of a table (m, g) over the knots, at ``amplitude_rpm[i]``; constant beyond
-    them.
-
-    Returns
-    -------
-    Shape (count,), linear in ln A between knots.
-    """
-    logs = np.log(knots_rpm)
-    x = np.log(np.clip(amplitude_rpm, knots_rpm[0], knots_rpm[-1]))
-    right = np.clip(np.searchsorted(logs, x), 1, logs.size - 1)
-    weight = (x - logs[right - 1]) / (logs[right] - logs[right - 1])
-    return np.asarray((1.0 - weight) * table[rows, right - 1] + weight * table[rows, right])
 
 
 PUBLISHED_SCALE_RAD = 1e-4
@@ -284,17 +293,16 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
     the curve at its amplitude. The covariance is that of fit, start angle and bench. A curve
     without ringing keeps the optimum.
     """
-    ringing = curve.ringing
-    if ringing is None:
+    if curve.ringing is None:
         return point
-    candidates = [(_log_prior(curve, ringing, point), point)]
+    candidates = [(_log_prior(curve, point), point)]
     for rival in point.optimum.rivals:
         excess = rival.sum_of_squares - point.optimum.sum_of_squares
         deficit = 0.5 * excess / point.spread.scale
         if deficit > LARGEST_DEFICIT:
             continue
         rival_point = estimator.at_rival(point, rival)
-        candidates.append((_log_prior(curve, ringing, rival_point) - deficit, rival_point))
+        candidates.append((_log_prior(curve, rival_point) - deficit, rival_point))
     evidence, best = max(candidates, key=lambda pair: pair[0])
     contenders = tuple(
         Contender(rival_point.optimum.symbols[AMPLITUDE], other_evidence - evidence)
@@ -311,17 +319,11 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
     return replace(best, notes=(*point.notes, note), contenders=contenders)
 
 
-def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float:
+def _log_prior(curve: GapCurve, point: PointEstimate) -> float:
     """ln density of the measured (ln ω, ln τ), as predicted by the curve at the measured A."""
     centre, covariance = point.ringing
-    log_knots, x = np.log(curve.knots_rpm), float(np.log(centre[0]))
-    nearest = int(np.argmin(np.abs(log_knots - x)))
-    draws = np.stack([ringing.frequency_draws[:, nearest], ringing.decay_draws[:, nearest]])
-    bench = np.cov(draws) if draws.shape[1] > 1 else np.zeros((2, 2))
-    total = (covariance + ringing.scatter[nearest])[1:, 1:] + bench
-    expected = np.array(
-        [np.interp(x, log_knots, ringing.log_frequency), np.interp(x, log_knots, ringing.log_decay)]
-    )
+    expected, scatter, bench = curve.ringing_at(centre[0])
+    total = (covariance + scatter)[1:, 1:] + bench
     # A fixed frequency or decay carries no information and has no variance.
     informative = np.diag(covariance)[1:] > 0.0
     difference = (centre[1:] - expected)[informative]

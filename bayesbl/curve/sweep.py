@@ -355,7 +355,7 @@ def swept_curve(
     fingerprint: str,
     seed: np.random.SeedSequence,
     draws: SweptDraws | None = None,
-) -> tuple[GapCurve, Regression]:
+) -> GapCurve:
     """Regress δ on A over a nominal sweep, with the uncertainty of the bench as a source.
 
     Raises
@@ -380,7 +380,7 @@ def swept_curve(
     by_bench, ringing = _bench_source(nominal, values, departures, knots)
     if draws is not None:
         sources["bench"] = by_bench
-    curve = GapCurve(
+    return GapCurve(
         name=name,
         coefficients=coefficients,
         knots_rpm=knots,
@@ -390,7 +390,6 @@ def swept_curve(
         fingerprint=fingerprint,
         ringing=ringing,
     )
-    return curve, regression
 
 
 def degree_reports(nominal: SweepRow) -> dict[int, DegreeSummary]:
@@ -452,16 +451,8 @@ def _require_growing(name: str, gap_rad: FloatArray, amplitude_rpm: FloatArray) 
 
 def _log_values(row: SweepRow, model: DisturbanceModel) -> FloatArray:
     """(ln A, ln ω, ln τ) at each gap and start angle, shape (g, s, 3)."""
-    return np.log(
-        np.stack(
-            [
-                row.amplitude_rpm,
-                row.symbol(FREQUENCY, model.fixed),
-                row.symbol(DECAY, model.fixed),
-            ],
-            axis=-1,
-        )
-    )
+    symbols = [row.symbol(name, model.fixed) for name in (FREQUENCY, DECAY)]
+    return np.log(np.stack([row.amplitude_rpm, *symbols], axis=-1))
 
 
 def departures(row: SweepRow, nominal: SweepRow, model: DisturbanceModel) -> FloatArray:
@@ -533,8 +524,6 @@ class Regression:
         Shape (g,).
     lack_of_fit
         Posterior mean of g at the knots, relative, shape (g,).
-    lack_of_fit_size, lack_of_fit_length
-        Standard deviation (relative) and length (in ln A) of the process.
     log_evidence
         Restricted log likelihood, for comparing degrees.
     """
@@ -542,8 +531,6 @@ class Regression:
     coefficients: FloatArray
     knots_rpm: FloatArray
     lack_of_fit: FloatArray
-    lack_of_fit_size: float
-    lack_of_fit_length: float
     log_evidence: float
     _coefficient_root: FloatArray
     _sensitivity: FloatArray
@@ -631,8 +618,6 @@ def regress(
         coefficients=coefficients,
         knots_rpm=knots_rpm,
         lack_of_fit=kriging @ (ones - columns @ scaled),
-        lack_of_fit_size=float(size),
-        lack_of_fit_length=float(length),
         log_evidence=float(evidence),
         _coefficient_root=rescale[:, None] * np.linalg.cholesky(covariance),
         _sensitivity=-(kriging @ columns) / rescale,

@@ -37,7 +37,7 @@ from bayesbl.measurement.measurement import (
     outcome_of,
     sampling_reasons,
 )
-from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
+from bayesbl.measurement.same_joint import COULD_BE, RINGING, change_reason, same_joint
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.noise.rotation_noise import Noise
@@ -321,8 +321,10 @@ class AmplitudeMeasurer(CurveMeasurer):
             if abs(item["measured"] / item["expected"] - 1.0) > 0.5 * (high - low)
         ]
         causes = [cause for item in differing for cause in COULD_BE[item["quantity"]]]
-        details = [{key: value for key, value in item.items() if key != "z"} for item in differing]
-        reasons = [Reason("other_bench", values) for values in details]
+        reasons = [
+            Reason("other_bench", {key: value for key, value in item.items() if key != "z"})
+            for item in differing
+        ]
         compared = joint_check(
             check["agrees"] and not differing,
             [*check["items"], *items],
@@ -519,61 +521,52 @@ def _noise_only(
 ) -> dict[Group, object]:
     """Prior, posterior and predictions of the model with waveform and noise alone.
 
-    The prior is flat in every searched symbol within its range. With a curve it is flat in ln δ,
-    without one in A. The prior of the mean speed is flat without bounds; its prior draws cover the
-    recorded range.
+    The prior is flat in every searched symbol within its range, and in ln δ, or without a curve in
+    A. That of the mean speed is flat without bounds; its prior draws cover the recorded range.
     """
     point, objective = fit.point, fit.point.objective
-    chains = fit.posterior.baseline_rpm.shape[0]
+    chains, _, terms = fit.posterior.baseline_rpm.shape
     speed = objective.speed_rpm[objective.used]
     ranges = {MEAN: (float(speed.min()), float(speed.max()))}
     ranges |= dict(zip(objective.searched, zip(*bounds(objective), strict=True), strict=True))
     ranges = {name: ranges[name] for name in fit.posterior.draws if name != AMPLITUDE}
     prior = {name: generator.uniform(*ends, shared.PRIOR_DRAWS) for name, ends in ranges.items()}
-    if curve is None:
-        highest = 0.5 * float(np.ptp(speed))
-        prior[AMPLITUDE] = generator.uniform(0.0, highest, shared.PRIOR_DRAWS)
-    else:
-        low, high = np.log(curve.gap_range_rad)
-        log_gap = generator.uniform(low, high, shared.PRIOR_DRAWS)
-        knots = curve.knots_rpm
-        prior[AMPLITUDE] = np.exp(np.interp(log_gap, np.log(curve.gap(knots)), np.log(knots)))
+    low, high = (0.0, 0.5 * np.ptp(speed)) if curve is None else np.log(curve.gap_range_rad)
+    amplitude = generator.uniform(low, high, shared.PRIOR_DRAWS)
+    of_gap = {}
+    if curve is not None:
+        of_gap, knots = {shared.DELTA.name: np.exp(amplitude)}, curve.knots_rpm
+        amplitude = np.exp(np.interp(amplitude, np.log(curve.gap(knots)), np.log(knots)))
+    prior[AMPLITUDE] = amplitude
 
     def log_prior_of_amplitude(rpm: FloatArray) -> FloatArray:
-        if curve is None:
-            return np.where((rpm > 0.0) & (rpm < highest), -math.log(highest), -np.inf)
-        slope = np.where(rpm > 0.0, curve.log_slope(np.abs(rpm)), 0.0)
+        slope = (rpm > 0.0) & (rpm < high) if curve is None else curve.log_slope(rpm)
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(np.maximum(slope, 0.0) / (high - low)))
 
-    replicated = {name: values[: chains * shared.REPLICATES] for name, values in prior.items()}
-    zero_baseline = np.zeros((chains * shared.REPLICATES, fit.posterior.baseline_rpm.shape[-1]))
-    speeds = {MOTOR_SPEED: predicted(point, replicated, zero_baseline, generator)}
-    stored_prior = prior if curve is None else {**prior, shared.DELTA.name: np.exp(log_gap)}
+    def predictions(draws: dict[str, FloatArray], baseline: FloatArray) -> dict[str, FloatArray]:
+        first = {name: values[:chains] for name, values in draws.items()}
+        speeds = predicted(point, first, baseline[:chains], generator)
+        return shared.replicates({MOTOR_SPEED: speeds})
+
     groups: dict[Group, object] = {
-        OF_NOISE["prior"]: {n: v[None] for n, v in stored_prior.items()},
-        shared.PRIOR_PREDICTIVE: shared.replicates(chains, speeds),
+        OF_NOISE["prior"]: {name: values[None] for name, values in (prior | of_gap).items()},
+        shared.PRIOR_PREDICTIVE: predictions(prior, np.zeros((chains, terms))),
     }
-    named_draws = likelihood_draws(
-        point, log_prior_of_amplitude, shared.NOISE_DRAWS // chains * chains, generator
-    )
-    if named_draws is None:
+    count = shared.NOISE_DRAWS // chains * chains
+    found = likelihood_draws(point, log_prior_of_amplitude, count, generator)
+    if found is None:
         return groups
-    flat_draws, baseline = named_draws
-    replicated = {name: values[: chains * shared.REPLICATES] for name, values in flat_draws.items()}
-    speeds = {
-        MOTOR_SPEED: predicted(point, replicated, baseline[: chains * shared.REPLICATES], generator)
-    }
-    draws = {name: values.reshape(chains, -1) for name, values in flat_draws.items()}
-    shape = draws[AMPLITUDE].shape
-    baseline = baseline.reshape(*shape, -1)
-    density = {n: np.full(shape, -math.log(b - a)) for n, (a, b) in ranges.items()}
-    terms = {"baseline_rpm": baseline, "baseline_term": _baseline_terms(fit)}
+    groups[shared.POSTERIOR_PREDICTIVE] = predictions(*found)
+    draws = {name: values.reshape(chains, -1) for name, values in found[0].items()}
+    baseline = found[1].reshape(*draws[AMPLITUDE].shape, terms)
+    log_prior = {n: np.full(baseline.shape[:2], -math.log(b - a)) for n, (a, b) in ranges.items()}
+    log_prior[AMPLITUDE] = log_prior_of_amplitude(draws[AMPLITUDE])
+    labelled = {"baseline_rpm": baseline, "baseline_term": _baseline_terms(fit)}
     return groups | {
-        OF_NOISE["noise_posterior"]: {**draws, **terms},
+        OF_NOISE["noise_posterior"]: {**draws, **labelled},
         shared.LOG_LIKELIHOOD: {"recording": log_likelihood(point, draws, baseline)},
-        OF_NOISE["log_prior"]: {**density, AMPLITUDE: log_prior_of_amplitude(draws[AMPLITUDE])},
-        shared.POSTERIOR_PREDICTIVE: shared.replicates(chains, speeds),
+        OF_NOISE["log_prior"]: log_prior,
     }
 
 
@@ -728,9 +721,6 @@ def measured_ringing(fit: Fit) -> MeasuredRinging:
 
 # The ringing, compared with that of the bench.
 
-_UNITS = {FREQUENCY: ("Hz", 2.0 * math.pi), DECAY: ("1/s", 1.0)}
-"""Unit of each quantity, and what one unit is in rad/s or 1/s."""
-
 
 def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> JointCheck:
     """Compare frequency and decay with the curve's at the measured amplitude.
@@ -738,36 +728,18 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
     A curve without ringing data compares nothing. The standard deviation is that of the logarithms
     at the measured amplitude. It covers the fit, the start angle and the bench's tolerances.
     """
-    ringing = curve.ringing
-    if ringing is None:
+    if curve.ringing is None:
         return joint_check()
-    amplitude = measured.centre[0]
-    nearest = int(np.argmin(np.abs(curve.knots_rpm - amplitude)))
-    covariance = measured.covariance + ringing.scatter[nearest]
-    conditional = covariance - np.outer(covariance[0], covariance[0]) / covariance[0, 0]
+    expected, scatter, bench = curve.ringing_at(measured.centre[0])
+    _, covariance = measured.given_amplitude(scatter)
+    sds = np.sqrt(np.diag(covariance + bench))
     items = []
-    for index, (quantity, expected, draws) in enumerate(
-        (
-            (FREQUENCY, ringing.log_frequency, ringing.frequency_draws),
-            (DECAY, ringing.log_decay, ringing.decay_draws),
-        ),
-        start=1,
-    ):
-        if measured.covariance[index, index] == 0.0:
-            continue  # a fixed symbol was not measured
-        unit, unit_size = _UNITS[quantity]
-        log_expected = float(np.interp(amplitude, curve.knots_rpm, expected))
-        sd = math.sqrt(conditional[index, index] + float(np.var(draws[:, nearest])))
-        log_ratio = float(measured.centre[index])
-        items.append(
-            check_item(
-                quantity,
-                math.exp(log_ratio) / unit_size,
-                math.exp(log_expected) / unit_size,
-                unit,
-                (log_ratio - log_expected) / sd,
-            )
-        )
+    for k, (quantity, unit, size) in enumerate(RINGING):
+        if measured.covariance[k + 1, k + 1] > 0.0:  # else a fixed symbol was not measured
+            found, log = float(measured.centre[k + 1]), float(expected[k])
+            z = (found - log) / float(sds[k])
+            item = check_item(quantity, math.exp(found) / size, math.exp(log) / size, unit, z)
+            items.append(item)
     agrees = all(reason.code != CONTRADICTED for reason in gap.reasons)
     causes = [] if agrees else [cause for item in items for cause in COULD_BE[item["quantity"]]]
     return joint_check(agrees, items, causes)

@@ -419,10 +419,12 @@ class CurveMeasurer(Measurer):
 
     def doubts(self, recording: Recording) -> Iterator[Reason]:
         """Yield why δ would be withheld whatever the fit: the curve belongs to another speed."""
-        if self.named is not None and not self.config.curve.allow_extrapolation:
-            speed_reason = other_speed(recording, self.named)
-            question = self.question(recording)
-            yield from (reason for reason in (speed_reason and question, speed_reason) if reason)
+        if self.named is None or self.config.curve.allow_extrapolation:
+            return
+        if (against := other_speed(recording, self.named)) is not None:
+            if (question := self.question(recording)) is not None:
+                yield question
+            yield against
 
     def question(self, recording: Recording) -> Reason | None:
         """Ask whether the speed is in another unit, if that would explain why δ is withheld."""
@@ -502,7 +504,7 @@ class CurveMeasurer(Measurer):
         swept = problem.draws(nominal, count, draw_seed, workers, report)
         if report is not None:
             report(1, 1)
-        curve, _ = swept_curve(
+        curve = swept_curve(
             str(self.config.estimator.bench),
             nominal,
             model,

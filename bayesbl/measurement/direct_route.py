@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -82,8 +81,6 @@ BOUNDED = ("gap_unseen",)
 
 EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
 """Gaps of a new, a used and a worn reducer."""
-
-NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -689,32 +686,29 @@ def _noise_only(
     """Prior, posterior and predictions of the model with bench and noise alone."""
     model = posterior.fit.model
     observation, noise = model.recordings[index], model.noise[index]
-    chains, count, d = posterior.draws.shape
+    chains, _, d = posterior.draws.shape
 
-    def predicted(points: FloatArray) -> dict[str, FloatArray]:
-        selected = points.reshape(-1, d)[: chains * shared.REPLICATES]
-        speeds = model.signals(selected, index) + noise.draw(
-            observation.samples, len(selected), generator
-        )
-        channels = dict(zip(observation.channels, speeds.swapaxes(0, 1), strict=True))
-        return shared.replicates(chains, channels)
+    def predictions(points: FloatArray) -> dict[str, FloatArray]:
+        signals = model.signals(points, index)
+        signals = signals + noise.draw(observation.samples, chains, generator)
+        channels = zip(observation.channels, signals.swapaxes(0, 1), strict=True)
+        return shared.replicates(dict(channels))
 
     prior = model.prior_draws(shared.PRIOR_DRAWS, generator)
     groups: dict[Group, object] = {
         OF_NOISE["prior"]: _draws(posterior, observation.name, prior[None]),
-        shared.PRIOR_PREDICTIVE: predicted(prior),
+        shared.PRIOR_PREDICTIVE: predictions(prior[:chains]),
     }
     if posterior.noise_only is None:
         return groups
     draws = posterior.noise_only.draws
     densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
     places = own_unknowns(posterior, observation.name)
-    selected = draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES]
     return groups | {
         OF_NOISE["noise_posterior"]: _draws(posterior, observation.name, draws),
         shared.LOG_LIKELIHOOD: {"recording": posterior.noise_only.log_likelihood[index]},
         OF_NOISE["log_prior"]: {name: densities[..., i] for name, i in places.items()},
-        shared.POSTERIOR_PREDICTIVE: predicted(selected),
+        shared.POSTERIOR_PREDICTIVE: predictions(draws[:, 0]),
     }
 
 
@@ -722,13 +716,12 @@ def _predictive(posterior: DirectPosterior, index: int) -> dict[str, object]:
     fit = posterior.fit
     observation = fit.model.recordings[index]
     simulated = fit.simulated(index)
-    values: dict[str, object] = {"rotation_period_s": observation.rotation_period_s}
-    for channel, measured, model in zip(
-        observation.channels, observation.signals, simulated, strict=True
-    ):
-        values[f"simulated_{channel}"] = model
-        values[f"residual_{channel}"] = measured - model
-    return values
+    residuals = observation.signals - simulated
+    return {
+        "rotation_period_s": observation.rotation_period_s,
+        **{f"simulated_{c}": row for c, row in zip(observation.channels, simulated, strict=True)},
+        **{f"residual_{c}": row for c, row in zip(observation.channels, residuals, strict=True)},
+    }
 
 
 def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:

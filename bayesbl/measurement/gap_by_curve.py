@@ -8,13 +8,13 @@ shape of the curve must be right.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.config.measurement import KnownGap
-from bayesbl.curve.gap_curve import CurveDraws, GapCurve, interpolate_rows
+from bayesbl.curve.gap_curve import CurveDraws, GapCurve
 from bayesbl.measurement.measurement import Reason, upper_bound
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
@@ -50,6 +50,15 @@ class MeasuredRinging:
     amplitude_rpm: FloatArray
     centre: FloatArray
     covariance: FloatArray
+
+    def given_amplitude(self, scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Slope of (ln ω, ln τ) over A, (2,), and their covariance at a known A, (2, 2).
+
+        ``scatter``: covariance of (A, ln ω, ln τ) beyond that of the fit, (3, 3).
+        """
+        total = self.covariance + scatter
+        slope = total[1:, 0] / total[0, 0]
+        return slope, total[1:, 1:] - np.outer(slope, total[0, 1:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +177,10 @@ def gaps(
         notes += (Reason("curve_scaled", {"scale": float(np.median(scale))}),)
         if not calibration.agrees:
             notes += (Reason("known_gaps_disagree"),)
+    budgets = _budgets(chosen, [s.amplitude_rpm for s in snapshots], calibration)
     result = []
-    for curve, curve_draws, amplitude, curve_gap, contradiction in zip(
-        curves, chosen, chosen_amplitudes, by_curve, contradictions, strict=True
+    for curve, curve_draws, amplitude, curve_gap, contradiction, budget in zip(
+        curves, chosen, chosen_amplitudes, by_curve, contradictions, budgets, strict=True
     ):
         delta = (scale * curve_gap).reshape(chains, count)
         outside = curve.outside(amplitude).reshape(chains, count)
@@ -186,13 +196,12 @@ def gaps(
                 amplitude.reshape(chains, count),
                 {name: rows.reshape(chains, count) for name, rows in curve_draws.rows.items()},
                 None if calibration is None else scale.reshape(chains, count),
-                {},
+                budget,
                 tuple(reasons),
                 notes,
             )
         )
-    budgets = _budgets(chosen, [s.amplitude_rpm for s in snapshots], calibration)
-    return [replace(gap, budget=budget) for gap, budget in zip(result, budgets, strict=True)]
+    return result
 
 
 def _shared_draws(
@@ -225,24 +234,18 @@ def _log_match(
     curve = draws.curve
     ringing = curve.ringing
     assert ringing is not None
-    nearest = int(np.argmin(np.abs(curve.knots_rpm - snapshot.centre[0])))
-    covariance = snapshot.covariance + ringing.scatter[nearest]
-    gain = covariance[1:, 0] / covariance[0, 0]
-    conditional = covariance[1:, 1:] - np.outer(gain, covariance[0, 1:])
-    first_row = np.zeros(amplitude_rpm.size, dtype=np.int64)
-    bench_rows = draws.rows.get("bench", first_row)
-    expected = [
-        interpolate_rows(curve.knots_rpm, nominal[None], first_row, amplitude_rpm)
-        + interpolate_rows(curve.knots_rpm, departures, bench_rows, amplitude_rpm)
-        for nominal, departures in (
-            (ringing.log_frequency, ringing.frequency_draws),
-            (ringing.log_decay, ringing.decay_draws),
-        )
-    ]
-    measured = snapshot.centre[1:, None] + gain[:, None] * (amplitude_rpm - snapshot.centre[0])
+    _, scatter, _ = curve.ringing_at(snapshot.centre[0])
+    slope, covariance = snapshot.given_amplitude(scatter)
+    rows = draws.rows.get("bench", np.zeros(amplitude_rpm.size, dtype=np.int64))
+    tables = (
+        ringing.log_frequency + ringing.frequency_draws,
+        ringing.log_decay + ringing.decay_draws,
+    )
+    expected = [curve.at_rows(table, rows, amplitude_rpm) for table in tables]
+    measured = snapshot.centre[1:, None] + slope[:, None] * (amplitude_rpm - snapshot.centre[0])
     difference = measured - np.stack(expected)
     return np.asarray(
-        -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(conditional), difference)
+        -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(covariance), difference)
     )
 
 

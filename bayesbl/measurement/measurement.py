@@ -10,7 +10,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, repeat
 from typing import Any, Literal, TypedDict
 
 import numpy as np
@@ -117,20 +116,23 @@ UPPER_BOUND_LEVEL = 0.95
 """Probability of the one-sided bound that is reported if the gap may be zero."""
 
 
-OUTCOMES: Mapping[Outcome, str] = {
-    "converged": "",
-    "usable": """
+LIMITING, WITHHOLDING = (
+    frozenset(codes.split())
+    for codes in (
+        """
         sampling_doubt mended few_curve_draws by_amplitude_instead gap_not_told bench_lacks
-        allows_for_misfit negative_law play_not_told load_coasts""",
-    "withheld": """
+        allows_for_misfit negative_law play_not_told load_coasts
+        """,
+        """
         sampling no_flank_change second_sampler ringing_contradicts_bench beyond_curve speed_unit
         box_search_missed no_baseline other_speed other_rotation other_bench
         recording_contradicts_bench repeats_beyond_noise unexplained sheet_contradicted
         tolerance_decides gap_unseen start_unknown ramps_held nothing_told held_by_weight
-        weight_unknown skew_or_play positions_exchanged known_gaps_disagree""",
-}
-"""Outcomes of an answer from best to worst, each with the codes that cause it on any route. All
-other codes are notes."""
+        weight_unknown skew_or_play positions_exchanged known_gaps_disagree
+        """,
+    )
+)
+"""Codes that limit or withhold an answer on any route. All other codes are notes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +147,7 @@ class Reason(Flaw):
     @property
     def withholds(self) -> bool:
         """Whether this reason withholds the answer."""
-        return outcome_of([self]) == "withheld"
+        return self.code in WITHHOLDING
 
     @property
     def stored(self) -> dict[str, Any]:
@@ -155,16 +157,17 @@ class Reason(Flaw):
 
 def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
     """Reasons from the sampler: failures withhold the answer, doubts limit it."""
-    codes = chain([diagnostics.code], repeat("sampling"))
-    failed = zip(codes, diagnostics.failures, strict=False)
-    flaws = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
+    flaws = [("sampling" if k else diagnostics.code, f) for k, f in enumerate(diagnostics.failures)]
+    flaws += [("sampling_doubt", flaw) for flaw in diagnostics.doubts]
     return [Reason(code, {"flaw": flaw.code, **flaw.values}) for code, flaw in flaws]
 
 
 def outcome_of(reasons: Iterable[Reason]) -> Outcome:
     """The worst outcome that these reasons cause."""
     codes = {reason.code for reason in reasons}
-    return [o for o, text in OUTCOMES.items() if o == "converged" or codes & {*text.split()}][-1]
+    if codes & WITHHOLDING:
+        return "withheld"
+    return "usable" if codes & LIMITING else "converged"
 
 
 class CheckItem(TypedDict):
@@ -195,13 +198,7 @@ class JointCheck(TypedDict):
 
 def check_item(quantity: str, measured: float, expected: float, unit: str, z: float) -> CheckItem:
     """Make an item; ``unit`` is that of both values, empty for a pure number."""
-    return {
-        "quantity": quantity,
-        "measured": measured,
-        "expected": expected,
-        "unit": unit,
-        "z": z,
-    }
+    return CheckItem(quantity=quantity, measured=measured, expected=expected, unit=unit, z=z)
 
 
 def joint_check(

@@ -32,17 +32,12 @@ def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
     if observation.motion is None or flank_changes(fit, index):
         return None
     values: dict[str, float | bool] = {"pull_rpm_per_s": largest_pull(fit, index)}
-    match excluded_ends(posterior, observation.name):
-        case True, False:
-            values |= {"is_larger": True, "level": UPPER_BOUND_LEVEL}
-            share = 1.0 - UPPER_BOUND_LEVEL
-        case False, True:
-            values |= {"is_larger": False, "level": UPPER_BOUND_LEVEL}
-            share = UPPER_BOUND_LEVEL
-        case _:
-            return Reason("gap_unseen", values)
-    draws = posterior.values(GAP, observation.name)
-    return Reason("gap_unseen", values | {"bound_rad": float(np.quantile(draws, share))})
+    is_larger, is_smaller = excluded_ends(posterior, observation.name)
+    if is_larger != is_smaller:
+        share = 1.0 - UPPER_BOUND_LEVEL if is_larger else UPPER_BOUND_LEVEL
+        bound_rad = float(np.quantile(posterior.values(GAP, observation.name), share))
+        values |= {"is_larger": is_larger, "level": UPPER_BOUND_LEVEL, "bound_rad": bound_rad}
+    return Reason("gap_unseen", values)
 
 
 def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:

@@ -215,18 +215,7 @@ class RampMeasurer(Measurer):
 
     def require_usable(self, recording: Recording) -> None:
         """Require that the torque goes to both sides of zero and back at least once."""
-        _, flanks = self._flanks(recording)
-        if flanks.level is not None:
-            return
-        torque = recording.channels[MOTOR_TORQUE] * self._ratio
-        raise RecordingError(
-            "The torque does not go to one side of zero, back, to the other side, and back.",
-            file=recording.place,
-            where=MOTOR_TORQUE,
-            found=f"{torque.min():.3g} to {torque.max():.3g} N m at the output",
-            expected="ramps of about the same torque both ways, each back to zero: they leave "
-            "the joint on one flank and on the other",
-        )
+        self._flanks(recording)
 
     def doubts(self, recording: Recording) -> Iterable[Reason]:
         """Reasons why δ will be withheld."""
@@ -239,7 +228,6 @@ class RampMeasurer(Measurer):
         widths = [
             Widths(r.name, tuple(flank.level.widths()), self._resolution(r))
             for r, flank in zip(task.recordings, flanks, strict=True)
-            if flank.level is not None
         ]
         report = of_stage(task.progress, f"Sampling {' and '.join(task.names)}")
         play_seed, shares_seed, *seeds = task.seeds.direct.spawn(2 + len(files))
@@ -299,9 +287,7 @@ class RampMeasurer(Measurer):
     def _rated(self, flanks: Flanks) -> float:
         """The rated torque, or the largest torque of the ramps."""
         rated = self.config.joint.rated_torque_nm
-        if rated is not None:
-            return rated
-        return 0.0 if flanks.largest is None else flanks.largest.amplitude_nm
+        return flanks.largest.amplitude_nm if rated is None else rated
 
     @property
     def _ratio(self) -> float:
@@ -313,7 +299,13 @@ class RampMeasurer(Measurer):
         return float(steps[steps > 0.0].min()) / self._ratio
 
     def _flanks(self, recording: Recording) -> tuple[tuple[Ramps, ...], Flanks]:
-        """The ramps of each file and the flanks that they show, at the output."""
+        """The ramps of each file and the flanks that they show, at the output.
+
+        Raises
+        ------
+        RecordingError
+            If the torque does not go to both sides of zero and back at least once.
+        """
         torque = recording.channels[MOTOR_TORQUE] * self._ratio
         position = recording.channels[MOTOR_POSITION] / self._ratio
         starts = list(recording.metadata[FILE_STARTS])
@@ -321,19 +313,28 @@ class RampMeasurer(Measurer):
         files = tuple(
             find_ramps(torque[a:b], position[a:b]) for a, b in zip(starts, stops, strict=True)
         )
-        return files, find_flanks(files, self._resolution(recording))
+        flanks = find_flanks(files, self._resolution(recording))
+        if flanks is None:
+            raise RecordingError(
+                "The torque does not go to one side of zero, back, to the other side, and back.",
+                file=recording.place,
+                where=MOTOR_TORQUE,
+                found=f"{torque.min():.3g} to {torque.max():.3g} N m at the output",
+                expected="ramps of about the same torque both ways, each back to zero: they leave "
+                "the joint on one flank and on the other",
+            )
+        return files, flanks
 
 
 def against(flanks: Flanks) -> list[Reason]:
     """The reason why δ is withheld, if it is."""
-    level = flanks.level
-    if flanks.answered or level is None:
+    if flanks.answered:
         return []
     values = {
         "skipped_nm": list(flanks.skipped_nm),
-        "amplitude_nm": level.amplitude_nm,
+        "amplitude_nm": flanks.level.amplitude_nm,
         "needed_nm": flanks.needed_nm,
-        "friction_nm": level.friction_nm,
+        "friction_nm": flanks.level.friction_nm,
     }
     return [Reason("ramps_held", values)]
 
@@ -352,9 +353,8 @@ def notes_on(
     one file, and these are at different positions of the turn.
     """
     level, relative = flanks.level, flanks.relative_compliance
-    assert level is not None
     if flanks.finding == "preloaded":
-        lifting_nm = float(np.median(draws["preload_torque_nm"]))
+        lifting_nm = float(np.median(draws[PRELOAD]))
         values = {
             "relative_compliance": relative,
             "lifts_nm": None if np.isnan(lifting_nm) else lifting_nm,
@@ -398,7 +398,6 @@ def _numbers(
 ) -> dict[str, Any]:
     """The snapshot's keys of the summary, with the ramps that show the play."""
     level, posterior = flanks.level, groups["posterior"]
-    assert level is not None
     intervals = shared.intervals(posterior, QUANTITIES, section)
     # All NaN if no flank is seen to lift.
     if np.isfinite(posterior[PRELOAD].values).any():
@@ -419,14 +418,14 @@ def _numbers(
             **intervals,
             **shared.intervals(posterior, ("width_rad", "scatter_rad"), section),
         },
-        "noise": {"kind": "repeated"},
+        "noise": shared.no_speed_noise("repeated"),
     }
 
 
 def _elsewhere(flanks: Sequence[Flanks]) -> bool:
     """Whether snapshots of one file each were recorded at different positions of the turn.
     Positions count as equal if their flanks overlap."""
-    levels = [flank.level for flank in flanks if flank.level is not None]
+    levels = [flank.level for flank in flanks]
     if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
         return False
     middles = [level.middle_rad for level in levels]
@@ -464,8 +463,6 @@ def of_every_cycle(flanks: Flanks, stated_nm: float) -> dict[str, list[FloatArra
     that friction holds.
     """
     level, largest = flanks.level, flanks.largest
-    assert level is not None
-    assert largest is not None
     width = float(np.mean([c.width_rad for c in level.cycles]))
     # Ramps that hardly exceed the friction do not show the compliance.
     flank_rad = max(largest.range_rad - width, 0.0)
@@ -537,11 +534,10 @@ def described(
     if flanks.largest is flanks.level:
         # Held compliance is unknown: anything up to the whole width.
         draws["held_windup_rad"] = 0.5 * width * generator.uniform(size=shape)
-    draws["preload_torque_nm"] = np.zeros(shape)
+    draws[PRELOAD] = np.zeros(shape)
     if flanks.finding == "preloaded":
-        assert flanks.largest is not None
         lifting_nm = lifting_torque(flanks.largest)
-        draws["preload_torque_nm"] = (
+        draws[PRELOAD] = (
             _mean_draws(lifting_nm, shape, generator) if lifting_nm else np.full(shape, np.nan)
         )
     return draws
@@ -564,9 +560,7 @@ def _mean_draws(
 
 def _budget(flanks: Flanks, width: FloatArray, delta: FloatArray) -> dict[str, float]:
     """Share of each source in the variance of ln δ."""
-    level = flanks.level
-    assert level is not None
-    widths = level.widths()
+    widths = flanks.level.widths()
     count = sum(v.size for v in widths)
     freedom = sum(v.size - 1 for v in widths)
     within = sum(float(v.var()) * v.size for v in widths) / freedom / count if freedom else 0.0
@@ -663,9 +657,8 @@ def ramp_groups(
     ``draws``: those of all of :data:`POSTERIOR`; ``stated_nm``: the torque of the lost motion.
     """
     lengths = [ramps.torque_nm.size for ramps in files]
-    used = [] if flanks.level is None else flanks.level.cycles
     numbered_cycles = [(n, cycle) for n, file in enumerate(files) for cycle in file.cycles]
-    is_used = [any(cycle is other for other in used) for _, cycle in numbered_cycles]
+    is_used = [any(cycle is other for other in flanks.level.cycles) for _, cycle in numbered_cycles]
     return datasets(
         {
             POSTERIOR: draws,
@@ -696,7 +689,6 @@ def ramp_groups(
 
 def _loop(flanks: Flanks) -> dict[str, FloatArray]:
     level = flanks.level
-    assert level is not None
     numbers = [float(n) for n, cycles in enumerate(level.files) if cycles]
     files = list(filter(None, level.files))
     torque, position = zip(*map(_path, files), strict=True)

@@ -91,5 +91,7 @@ def measure(
     measured = measurer.measure(task)
     has_load = all(LOAD_POSITION in recording.channels for recording in recordings)
     if has_load and measured.route not in WITHOUT_BENCH:
-        measured = import_module("bayesbl.measurement.auto_route").with_witness(measured, task)
+        from bayesbl.measurement.witness import with_witness
+
+        measured = with_witness(measured, task)
     return measurement_tree(measured, task)

@@ -49,6 +49,9 @@ FREQUENCY, DECAY = "ringing frequency", "ringing decay"
 FILTER = "share of the ringing that is recorded"
 """Its logarithm is compared, from the noise of the first snapshot and of another."""
 
+RINGING = ((FREQUENCY, "Hz", 2.0 * math.pi), (DECAY, "1/s", 1.0))
+"""Name and unit of ω and τ, and what that unit is in rad/s or 1/s."""
+
 LINE = "line of the motor in the speed"
 """Ripple, or error of transmission or encoder, that stands out in the speed."""
 
@@ -123,10 +126,7 @@ class _Snapshot:
     def of(cls, point: PointEstimate) -> _Snapshot:
         centre, covariance = point.ringing
         features = {feature.name: feature for feature in features_of(point)}
-        for name, unit, index, scale in (
-            (FREQUENCY, "Hz", 1, 2.0 * math.pi),
-            (DECAY, "1/s", 2, 1.0),
-        ):
+        for index, (name, unit, scale) in enumerate(RINGING, start=1):
             sd = math.sqrt(covariance[index, index])
             if sd > 0.0:  # a fixed symbol was not measured
                 value = math.exp(centre[index]) / scale

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.sections import Interval as IntervalConfig
+from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, Variable, labels, table
@@ -100,8 +101,6 @@ PRIOR_PREDICTIVE = Group("prior_predictive", (), (CHAIN, DRAW), named=_replicate
 PRIOR_DRAWS = 1000
 NOISE_DRAWS = 500
 """Draws of the posterior by the noise alone, over all chains."""
-REPLICATES = 1
-"""Predicted recordings per chain, each as long as the fitted one."""
 
 
 def of_noise_alone(
@@ -127,12 +126,9 @@ def of_noise_alone(
     return {group.name: group for group in groups}
 
 
-def replicates(chains: int, channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Predicted recordings by chain; each channel has shape (m, n), m a multiple of ``chains``."""
-    return {
-        name: rows.reshape(chains, -1, rows.shape[-1]).astype(np.float32)
-        for name, rows in channels.items()
-    }
+def replicates(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Predicted recordings, one per chain, each as long as the fitted one; channels (chain, n)."""
+    return {name: rows[:, None].astype(np.float32) for name, rows in channels.items()}
 
 
 GAP = Group("gap", (DELTA,), (CHAIN, DRAW))
@@ -225,6 +221,11 @@ def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
         "budget": dict(zip(*(budget[n].values.tolist() for n in ("source", "share")), strict=True)),
         "diagnostics": diagnostics,
     }
+
+
+def no_speed_noise(kind: str) -> NoiseSummary:
+    """Noise of a route that compares no speed."""
+    return dict(kind=kind, order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
 
 
 def intervals(

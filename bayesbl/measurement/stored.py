@@ -38,10 +38,10 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     if gap_draws:
         gaps = {name: datasets({GAP: {"delta_rad": draws}}) for name, draws in gap_draws.items()}
         groups |= _stacked(gaps, config)
+    ringing = next((r for r in routes if r.ringing_change is not None), measured)
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):
-        ringing = next((r.ringing_change for r in routes if r.ringing_change is not None), None)
-        groups["change"] = change_group(gap_draws, ringing)
+        groups["change"] = change_group(gap_draws, ringing.ringing_change)
         if not (measured.without_gap or measured.by_other_joint):
             wear, wear_reason = wear_of(
                 config, measured.answers, task.seeds.wear, measured.change_reason
@@ -67,12 +67,11 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         tree.attrs["limit"] = str(config.joint.limit)
     tree.attrs["warnings"] = list(measured.warnings)
     summary = {
-        "reason": _reason_of_all(measured),
         "curve": next((result.curve for result in routes if result.curve), None),
         "answer": {"route": measured.route, **measured.why.stored},
     }
     if isinstance(config, CompareConfig):
-        summary |= _compared(measured, config)
+        summary |= {"reason": _reason_of_all(measured), **_compared(measured, ringing, config)}
         summary["wear"] = None
         if wear is not None:
             dated = summarise_wear(
@@ -156,17 +155,14 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
 
 
 def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
-    withholding = [reason.stored for reason in answer.withholding]
     draws = None if answer.is_withheld else answer.delta_rad
     common = common_numbers(answer.groups)
-    no_speed_noise = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
     summary = {
         "route": result.route,
         "curve": result.curve or None,
         "amplitude_rpm": None,
         "optimum": {},
         **answer.numbers,
-        "noise": no_speed_noise | answer.numbers["noise"],
         **common,
         "delta_rad": None if draws is None else _interval(draws, config),
         "delta_upper_bound_rad": answer.upper_bound_rad,
@@ -177,19 +173,16 @@ def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> di
                 {**reason.stored, "withholds": reason.withholds} for reason in answer.reasons
             ],
         },
-        "reason": one_of(withholding),
+        "reason": one_of([reason.stored for reason in answer.withholding]),
         "model_check": answer.model_check,
     }
-    limit_rad = limit_rad_of(config)
-    if limit_rad is not None:
+    if (limit_rad := limit_rad_of(config)) is not None:
         summary["limit_rad"] = limit_rad
-        probability = (
+        summary["probability_above_limit"] = (
             None if draws is None or result.by_other_joint else float(np.mean(draws > limit_rad))
         )
-        summary["probability_above_limit"] = probability
-    if config.joint.limit is not None:
-        limit, windup_rad = config.joint.limit, windup_rad_of(config)
-        measured = None
+    if (limit := config.joint.limit) is not None:
+        windup_rad, measured = windup_rad_of(config), None
         if (delta := summary["delta_rad"]) is not None:
             ends = {key: limit.stated(delta[key], windup_rad) for key in ("median", "low", "high")}
             measured = {**delta, **ends}
@@ -197,26 +190,19 @@ def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> di
     return summary
 
 
-def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
-    count = len(measured.answers)
+def _compared(measured: Measurement, ringing: Measurement, config: CompareConfig) -> dict[str, Any]:
+    """Keys of a comparison; ``ringing``: the route that measured the change of the ringing."""
+    last = len(measured.answers) - 1
     snapshots = [
-        {
-            "name": measured.answers[number].name,
-            "probability_above_limit": None,
-            **_answered(measured, number, config),
-        }
-        for number in range(count)
+        {"name": answer.name, "probability_above_limit": None, **_answered(measured, n, config)}
+        for n, answer in enumerate(measured.answers)
     ]
-    ringing = next((r for r in (measured, *measured.beside) if r.ringing_change is not None), None)
-    ringing_change = None
     # With a curve, it is δ that is withheld, perhaps for the curve alone: report the ringing.
-    if ringing is not None and (
-        ringing.curve or not (ringing.answers[0].is_withheld or ringing.answers[-1].is_withheld)
-    ):
-        ringing_change = ringing.ringing_change
+    is_told = ringing.curve or not any(ringing.answers[end].is_withheld for end in (0, -1))
+    ringing_change = ringing.ringing_change if is_told else None
     return {
         "snapshots": snapshots,
-        **_change(measured, 0, count - 1, config),
+        **_change(measured, 0, last, config),
         "changes": [
             {"from": before, "to": after, **_change(measured, n, n + 1, config)}
             for n, (before, after) in enumerate(pairwise(a.name for a in measured.answers))
@@ -228,7 +214,7 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         "same_joint": measured.same_joint,
         "routes": {
             result.route: {
-                **_change(result, 0, count - 1, config),
+                **_change(result, 0, last, config),
                 "outcome": result.outcome,
                 "reason": _reason_of_all(result),
                 "same_joint": result.same_joint,

@@ -110,18 +110,8 @@ TRANSMISSION = Group(
     """),
 )
 
-QUANTITIES = (
-    "play_rad",
-    "lost_motion_rad",
-    "held_windup_rad",
-    "windup_rad_per_nm",
-    "gear_ratio",
-    "channel_skew_s",
-    "transmission_error_rad",
-)
-
 OF_PLAY = ("play_rad", "lost_motion_rad", "held_windup_rad")
-"""Of these, what is withheld with δ: a load on one flank shows none of them."""
+"""Of the posterior, what is withheld with δ: a load on one flank shows none of them."""
 
 
 class TwoEncoderMeasurer(Measurer):
@@ -218,10 +208,8 @@ class TwoEncoderMeasurer(Measurer):
 
     def _is_at_output(self, transmission: Transmission) -> bool:
         """Whether the motor's position was divided by the ratio already; its torque may not be."""
-        stated, measured = (
-            self.config.joint.gear_ratio,
-            float(np.median(transmission.draws["gear_ratio"])),
-        )
+        stated = self.config.joint.gear_ratio
+        measured = float(np.median(transmission.draws["gear_ratio"]))
         return stated is not None and abs(np.log(abs(measured))) < SAME_RATIO < abs(np.log(stated))
 
     def _probability_of_hidden_play(self, transmission: Transmission) -> float:
@@ -238,28 +226,22 @@ class TwoEncoderMeasurer(Measurer):
         upper = upper_bound_rad(transmission)
         lost = float(np.median(transmission.draws["lost_motion_rad"]))
         lost_track = float(np.std(transmission.draws["channel_skew_s"])) > LONGEST_SKEW_S
+        probability = {"probability": transmission.probability_of_play}
         if lost_track or transmission.probability_of_play < UPPER_BOUND_LEVEL:
             if lost_track or upper > TOO_WIDE * float(np.ptp(transmission.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
             elif self._probability_of_hidden_play(transmission) > 1.0 - UPPER_BOUND_LEVEL:
                 if np.isnan(transmission.gravity_holds):
-                    yield Reason(
-                        "weight_unknown", {"probability": transmission.probability_of_play}
-                    )
+                    yield Reason("weight_unknown", probability)
                 else:
                     yield Reason("held_by_weight", {"share": transmission.gravity_holds})
             else:
-                yield Reason(
-                    "play_not_told",
-                    {
-                        "probability": transmission.probability_of_play,
-                        "upper_mrad": 1e3 * upper,
-                        "lost_mrad": 1e3 * lost,
-                    },
-                )
+                bounds = {"upper_mrad": 1e3 * upper, "lost_mrad": 1e3 * lost}
+                yield Reason("play_not_told", {**probability, **bounds})
+        skews_ms = 1e3 * transmission.draws["channel_skew_s"]
+        skew = {"skew_ms": float(np.median(skews_ms))}
         if transmission.skew_or_play:
-            skew_ms = 1e3 * float(np.median(transmission.draws["channel_skew_s"]))
-            yield Reason("skew_or_play", {"skew_ms": skew_ms})
+            yield Reason("skew_or_play", skew)
         if transmission.reversals < FEW_REVERSALS:
             yield Reason("few_reversals", {"count": transmission.reversals})
         if transmission.friction_nm is None:
@@ -278,10 +260,8 @@ class TwoEncoderMeasurer(Measurer):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(measured.std()) / stated, 1e-3):
                 yield Reason("ratio_differs", {"stated": stated, "seen": middle})
-        draws = 1e3 * transmission.draws["channel_skew_s"]
-        skew = float(np.median(draws))
-        if abs(skew) > max(1.0, 3.0 * float(draws.std())):
-            yield Reason("channels_skewed", {"skew_ms": skew})
+        if abs(skew["skew_ms"]) > max(1.0, 3.0 * float(skews_ms.std())):
+            yield Reason("channels_skewed", skew)
         if _misfit_lasts(transmission):
             values = {"misfit_mrad": 1e3 * transmission.misfit_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
@@ -372,14 +352,13 @@ def _numbers(
     transmission: Transmission, posterior: xr.Dataset, of: IntervalConfig, *, is_withheld: bool
 ) -> dict[str, Any]:
     """The contract's keys, and beside them all that both encoders tell."""
-    names = [name for name in QUANTITIES if np.isfinite(posterior[name].values).all()]
-    if is_withheld:
-        names = [name for name in names if name not in OF_PLAY]
-    parameters = shared.intervals(posterior, names, of)
+    left_out = {shared.DELTA.name, *(OF_PLAY if is_withheld else ())}
+    told = [v.name for v in POSTERIOR.variables if v.name not in left_out]
+    finite = [name for name in told if np.isfinite(posterior[name].values).all()]
+    parameters = shared.intervals(posterior, finite, of)
+    maybe = ("play_rad", "lost_motion_rad", "windup_rad_per_nm")
     return {
-        "play_rad": parameters.get("play_rad"),
-        "lost_motion_rad": parameters.get("lost_motion_rad"),
-        "windup_rad_per_nm": parameters.get("windup_rad_per_nm"),
+        **{name: parameters.get(name) for name in maybe},
         "gear_ratio": parameters["gear_ratio"],
         "channel_skew_s": parameters["channel_skew_s"],
         "transmission_error": {
@@ -392,7 +371,7 @@ def _numbers(
         "probability_of_play": transmission.probability_of_play,
         "reversals": transmission.reversals,
         "parameters": parameters,
-        "noise": {"kind": "drift"},
+        "noise": shared.no_speed_noise("drift"),
     }
 
 

@@ -73,7 +73,7 @@ TRIED = 200
 AT_THE_END = 0.9
 """Of the largest torque tried: a maximum beyond may be a rise that is farther up."""
 
-Finding = Literal["play", "preloaded", "too_small", "one_sided"]
+Finding = Literal["play", "preloaded", "too_small"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class Flanks:
     finding
         ``play`` or ``preloaded`` (no play), or why neither can be said.
     level
-        The ramps that tell it, the smallest that can; ``None`` without a whole cycle.
+        The ramps that tell it, the smallest that can.
     largest
         The largest ramps.
     skipped_nm
@@ -167,8 +167,8 @@ class Flanks:
     """
 
     finding: Finding
-    level: Level | None
-    largest: Level | None
+    level: Level
+    largest: Level
     skipped_nm: tuple[float, ...] = ()
     needed_nm: float = 0.0
     left_by_larger: float = 1.0
@@ -202,8 +202,10 @@ def levels_of(files: Sequence[Ramps]) -> list[Level]:
     ]
 
 
-def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
+def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks | None:
     """The smallest ramps that reach both flanks, and whether there is play between them.
+
+    ``None`` without a whole cycle.
 
     Parameters
     ----------
@@ -212,8 +214,7 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
     """
     levels = levels_of(files)
     if not levels:
-        reached = [e.torque_nm for file in files for e in file.excursions]
-        return Flanks("one_sided", None, None, needed_nm=max(reached, default=0.0))
+        return None
     largest = levels[-1]
     skipped: list[float] = []
     for number, level in enumerate(levels):

@@ -128,14 +128,11 @@ def _plain(value: object, put: Callable[[Array], object]) -> Any:
 
 
 def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
-    match plain:
-        case {"array number": name, **others} if not others:
-            return arrays[name]
-        case dict():
-            return {key: _restored(item, arrays) for key, item in plain.items()}
-        case list():
-            return [_restored(item, arrays) for item in plain]
-    return plain
+    if isinstance(plain, dict):
+        if plain.keys() == {_ARRAY}:
+            return arrays[plain[_ARRAY]]
+        return {key: _restored(item, arrays) for key, item in plain.items()}
+    return [_restored(item, arrays) for item in plain] if isinstance(plain, list) else plain
 
 
 _UNFINISHED = ".unfinished"

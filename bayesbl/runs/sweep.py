@@ -147,7 +147,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
         config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
-    curve, _ = swept_curve(
+    curve = swept_curve(
         str(config.run.output),
         nominal,
         problem.model,

@@ -69,7 +69,7 @@ def curve(nominal: SweepRow) -> GapCurve:
         3,
         Estimator().fingerprint(recording),
         np.random.SeedSequence(1),
-    )[0]
+    )
 
 
 def point(recording, seed: int = 1):  # type: ignore[no-untyped-def]
@@ -152,7 +152,7 @@ def test_a_curve_ends_where_the_optimum_leaps_to_another_ringing() -> None:
     assert np.ptp(np.log(frequency)) < 0.05  # below 0.13 mrad it would be 40 % higher
     assert 1.2e-4 < row.gap_rad[0] < 1.5e-4
     assert row.gap_rad[-1] == settings.high_rad
-    curve, _ = swept_curve("leap", row, model, 3, "", np.random.SeedSequence(1))
+    curve = swept_curve("leap", row, model, 3, "", np.random.SeedSequence(1))
     amplitude = row.amplitude_rpm.mean(axis=1)
     np.testing.assert_allclose(curve.gap(amplitude), row.gap_rad, rtol=2e-3)
 

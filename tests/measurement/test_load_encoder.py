@@ -22,8 +22,8 @@ from bayesbl.bench.simulation import simulate_motions
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.measurement import CompareConfig
-from bayesbl.measurement.auto_route import disagreement, with_witness, within_bound
 from bayesbl.measurement.measurement import Answer, Measurement, Seeds, Task
+from bayesbl.measurement.witness import disagreement, with_witness, within_bound
 from bayesbl.presentation.answer import lead, which
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, Recording
 from bayesbl.results.store import read_tree
@@ -100,7 +100,7 @@ def test_a_load_of_another_gap_is_told_first(tmp_path, capsys):
     assert "delta_rad" in read_tree(out / "result.nc")["two_encoders/posterior"]
     first, *_ = lead(found)
     assert first == found["reason"]["text"]
-    assert "both encoders" in first
+    assert "the two encoders of motor and load" in first
     assert "two encoders compare the positions" in which(found)
     assert first.split(" disagree")[0] in " ".join(capsys.readouterr().out.split())
 

@@ -135,7 +135,7 @@ def test_small_ramps_beside_large_ones_at_one_rate_are_ramps():
 
 @pytest.mark.parametrize("torque", [np.abs(triangles(*CYCLES)), np.linspace(-4.0, 4.0, 3000)])
 def test_ramps_of_one_direction_leave_no_width(torque):
-    assert find_flanks([find_ramps(torque, operator(torque))]).level is None
+    assert find_flanks([find_ramps(torque, operator(torque))]) is None
 
 
 @pytest.mark.parametrize("preload_nm", [2.0, 6.0, 60.0])
