@@ -178,7 +178,9 @@ def spectrum_of(
         transform, samples, white = _transform(item, orders)
         own, level = turns_of([item], shared), np.zeros(orders.size)
         enough = (samples >= FEWEST_SAMPLES) & (orders * own >= FEWEST_CYCLES)
-        around = round(_LEVEL_CYCLES / max(step * own, _LEVEL_CYCLES / orders.size))
+        # SciPy's filter of more than there are takes a thousand times as long.
+        most = max(int(np.count_nonzero(enough)), 1)
+        around = round(_LEVEL_CYCLES / max(step * own, _LEVEL_CYCLES / most))
         level[enough] = median_filter(np.abs(transform[enough]) ** 2, around)
         waves[owner] += np.where(enough, transform, 0.0)
         least = 0.0 if coloured else white
