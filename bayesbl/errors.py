@@ -95,6 +95,12 @@ class UnavailableError(RecordingError):
     """
 
 
+class NeedsBench(RecordingError):
+    """A recording of a motion, whose gap shows only beside a bench."""
+
+    code = "needs_bench"
+
+
 class NoFlankChange(RecordingError):
     """The load stays on one tooth flank, or nothing tells otherwise: no gap shows.
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from bayesbl.cli.running import WRONG, print_json, run_config, run_file
-from bayesbl.errors import ConfigError, UserError
+from bayesbl.errors import ConfigError, NeedsBench, UserError
 from bayesbl.recording import formats
 
 if TYPE_CHECKING:
@@ -110,6 +110,8 @@ identify.effects | text | catalogue|NAME,NAME | Effects that the data sheet lack
 diagnose.bench | path | FILE|RESULT | The bench that should describe the recordings: its file,
     or a result of identify.
 figures.study | path | FILE | Run this study file to draw its figure.
+export.bench | path | FILE|RESULT | The bench it was measured with. [default: that of its
+    configuration]
 export.out | path | FOLDER | Output folder. [default: RESULT_export]
 export.force | flag | - | Replace files that exist.
 """
@@ -217,7 +219,10 @@ def init_command(
         )
         raise typer.Exit(WRONG)
     plan = check(path)
-    say(what_next(path, sound=not plan.problems, route=guess.route))
+    route = guess.route
+    if plan.problems and all(problem.code == NeedsBench.code for problem in plan.problems):
+        route, plan.problems = "motion", []
+    say(what_next(path, sound=not plan.problems, route=route))
     _print_findings(plan)
 
 
@@ -508,19 +513,13 @@ def figures_command(result: ResultPath, **given: Any) -> None:
         say(str(path))
 
 
-@_takes("out force")
-def export_command(
-    result: ResultPath,
-    bench: Annotated[
-        Path, typer.Option("--bench", metavar="FILE|RESULT", help="The bench it was measured with.")
-    ],
-    **given: Any,
-) -> None:
+@_takes("bench out force")
+def export_command(result: ResultPath, **given: Any) -> None:
     """Write a measured joint as MuJoCo models and tables of draws."""
     from bayesbl.presentation.terminal import say
     from bayesbl.runs.export import export
 
-    for path in export(result, bench, given["out"], force=given["force"]):
+    for path in export(result, given["bench"], given["out"], force=given["force"]):
         say(str(path))
 
 

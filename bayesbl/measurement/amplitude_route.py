@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
-from bayesbl.errors import RecordingError, ResultError
+from bayesbl.errors import NeedsBench, RecordingError, ResultError
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, CurveMeasurer, curves_group
@@ -214,14 +214,15 @@ class AmplitudeMeasurer(CurveMeasurer):
     def require_usable(self, recording: Recording) -> None:
         """Require a constant speed and a curve that fits this recording or can be swept for it."""
         if moves(recording):
-            raise RecordingError(
+            has_load = LOAD_POSITION in recording.channels
+            raise (RecordingError if has_load else NeedsBench)(
                 "This joint does not turn at one speed, and no gap curve belongs to the ringing of "
                 "a motion.",
                 file=recording.place,
                 found="a reference that varies over time",
                 expected=(
                     "--route two_encoders, as the load's position is recorded"
-                    if LOAD_POSITION in recording.channels
+                    if has_load
                     else "the direct route, which needs a bench (--bench FILE); `bayesbl init "
                     "--bench` begins one, and `bayesbl identify` of three such motions completes it"
                 ),

@@ -143,16 +143,21 @@ class DirectMeasurer(Measurer):
             )
 
     def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
-        """Expected at gaps within the prior, from bench and noise; only for constant speed."""
-        if not recordings or any(map(moves, recordings)):
-            return ()
+        """Expected at gaps within the prior, from bench and noise.
+
+        A motion must repeat: otherwise its noise is unknown before a fit.
+        """
         observations = [observed_of(self.config, self.bench, recording) for recording in recordings]
+        moving = [o.name for o in observations if o.motion is not None]
+        if not observations or any(o.name in moving and o.cycle is None for o in observations):
+            return ()
         bench = with_friction(self.bench, observations)
         low, high = self.config.estimator.gap_rad
+        names = [observation.name for observation in observations]
         return expected_sds(
             bench,
             observations,
-            direct_unknowns(bench, [observation.name for observation in observations], (low, high)),
+            direct_unknowns(bench, names, (low, high), moving),
             directions(bench, self.config.joint.drift),
             [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high],
         )

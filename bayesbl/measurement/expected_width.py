@@ -1,7 +1,8 @@
 """Expected uncertainty of the gap, from bench and noise of recordings, before any fit.
 
 The posterior is linearised at the true value. Its width follows from the derivatives of the
-simulation and from the noise, which is estimated from the differences between rotations. Laws that
+simulation and from the noise, which is estimated from the differences between rotations, or
+between cycles of a motion. Laws that
 the bench may lack and drift are included, as in an answer. The error of a wrong bench is not.
 """
 
@@ -37,7 +38,7 @@ def expected_sds(
     Parameters
     ----------
     recordings
-        At constant speed; only their noise, length and speed matter.
+        At constant speed, or motions that repeat. Only noise, length and motion matter.
     unknowns, among
         Unknowns of a fit, with a gap for each recording, and the directions marginalised with them.
 

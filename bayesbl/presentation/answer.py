@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, TypeGuard
 from bayesbl.presentation import play, wear, words
 from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
 from bayesbl.presentation.words import SURE, interval_kind, route_in_words
-from bayesbl.units import number
+from bayesbl.units import in_words as name_in_words
+from bayesbl.units import number, quantity_and_unit
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import (
@@ -103,7 +104,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         yield from wear.blocks(summary, summary["wear"], is_told=shrinkage(summary) is not None)
     yield aside(RINGING_EXPLAINED if is_ringing_alone(summary) else GAP_EXPLAINED)
     positions = play.of_positions(parts) if "ramps" in parts[0][1] else ()
-    yield from map(aside, (*positions, *budget(summary), *not_answering(parts)))
+    yield from map(aside, (*positions, *friction(summary), *budget(summary), *not_answering(parts)))
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
     reason = summary["reason"]
@@ -312,6 +313,19 @@ def budget(summary: MeasuredSummary) -> Iterator[str]:
         ]
         if each:
             yield f"Variance of the gap{words.of(name)}, by source: {', '.join(each)}."
+
+
+def friction(summary: MeasuredSummary) -> Iterator[str]:
+    """The friction that the direct route fitted to all recordings, in one line."""
+    for route in answering(snapshots(summary)[0][1]):
+        each = [
+            f"{name_in_words(effect)} {words.with_ends(value)} {quantity_and_unit(parameter)[1]}"
+            for name, value in route["parameters"].items()
+            for effect, _, parameter in [name.partition("__")]
+            if "cramer_rao_sd" in route and effect.endswith("friction")
+        ]
+        if each and route["delta_rad"] is not None:
+            yield f"Friction, fitted with the gap: {', '.join(each)}."
 
 
 def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:

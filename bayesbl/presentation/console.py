@@ -149,6 +149,11 @@ def what_next(path: Path, *, sound: bool, route: str = "") -> str:
         ". Correct columns there, and fill in gear_ratio, limit (when to repair) and bench (a file "
         "that describes the joint; bayesbl init --bench writes one)"
     )
+    if route == "motion":
+        correct = (
+            ", for a motion, whose gap is measured with a bench. Correct columns there, and fill "
+            "in bench (a file that describes the joint; bayesbl init --bench writes one)"
+        )
     if route == "torque_ramp":
         correct = ", for ramps of torque with the output held. Correct units and gear_ratio there"
     if route == "two_encoders":

@@ -76,6 +76,12 @@ def with_bounds(interval: Interval, unit: str, scale: float = 1.0) -> str:
     return f"{middle(interval, scale)} {unit} ({ends} {unit})"
 
 
+def with_ends(interval: Interval) -> str:
+    """``0.0052 (0.00054 to 0.020)``: two digits each, for a value that may be near zero."""
+    low, middle, high = (significant(interval[key]) for key in ("low", "median", "high"))
+    return f"{middle} ({low} to {high})"
+
+
 def in_mrad(interval: Interval) -> str:
     """``0.25 mrad (90 % interval 0.21 to 0.28 mrad)`` for an interval in rad."""
     return with_bounds(interval, "mrad", 1e3)

@@ -121,9 +121,9 @@ COUNTS = 'it counts the samples: enter what lies between two of them, as "4 ms"'
 NO_CLOCK = "no name says that it is the time; enter its unit if it is"
 """Reason for the unit of a column that increases, as a position also may."""
 
+_WITH_RATIO = 'enter the gear ratio with its unit, as "120 deg/s" or "120 deg" at a gear of 120'
 BEHIND = (
-    "by its name it is behind the gearbox: enter the gear ratio with its unit, as "
-    '"120 deg/s" or "120 deg" at a gear of 120; the unit alone if it is the motor\'s own'
+    f"by its name it is behind the gearbox: {_WITH_RATIO}; the unit alone if it is the motor's own"
 )
 """Reason for a speed or a position of an axis."""
 
@@ -365,7 +365,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     if asked := _unlike_dates(chosen[TIME], named, guesses):
         guesses = _changed(guesses, TIME, unit=UNKNOWN, reason=asked, sure=True)
     if chosen.keys().isdisjoint((MOTOR_SPEED, MOTOR_POSITION)):
-        guesses.append(GuessedColumn(MOTOR_POSITION, UNKNOWN, UNKNOWN, NO_NAME, True))
+        guesses.append(GuessedColumn(MOTOR_POSITION, UNKNOWN, UNKNOWN, _no_motor(named), True))
     motors = [c for c in ramps.values() if c.is_called(_MOTOR) and c.name not in CHANNELS]
     if both:
         guesses = _of_sides(guesses, chosen)
@@ -382,6 +382,14 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         "torque_ramp" if ramps else "two_encoders" if both else "",
         bool(motors),
     )
+
+
+def _no_motor(named: Sequence[_Named]) -> str:
+    """Asks for the motor's column; a column of the joint or load also tells it, by the gear."""
+    kinds = f"{_NAMES_OF[MOTOR_SPEED]} {_NAMES_OF[MOTOR_POSITION]}"
+    behind = (c.name for c in named if c.is_called(_LOAD) and c.is_called(kinds))
+    name = next(behind, None)
+    return NO_NAME if name is None else f'{NO_NAME}; or "{name}", behind the gearbox: {_WITH_RATIO}'
 
 
 def _of_joined(guess: Guess, joined: ArrayTable, table: ArrayTable) -> Guess:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,11 @@ DRIFT = "drift__"
 
 
 def export(
-    result: Path, bench: Path, folder: str | Path | None = None, *, force: bool = False
+    result: Path,
+    bench: Path | None = None,
+    folder: str | Path | None = None,
+    *,
+    force: bool = False,
 ) -> list[Path]:
     """Write ``SNAPSHOT.xml`` and ``SNAPSHOT.csv`` of every snapshot whose gap is reported.
 
@@ -39,7 +44,7 @@ def export(
     result
         Of a fit or a comparison.
     bench
-        The bench that it was measured with.
+        The bench that it was measured with; ``None`` for that of the stored configuration.
     folder
         ``None`` for one beside the result's, ``RESULT_export``.
     force
@@ -56,7 +61,10 @@ def export(
     ConfigError
         If the bench cannot be used.
     """
-    tree, own = read_result(result), bench_from(bench)
+    tree = read_result(result)
+    if bench is None:
+        bench = _configured_bench(tree, result)
+    own = bench_from(bench)
     require_gap(own, bench)
     measured = stored_answers(tree) if "route" in tree.attrs else []
     reported = [snapshot for snapshot in measured if not snapshot.withheld]
@@ -87,6 +95,20 @@ def export(
     home.mkdir(parents=True, exist_ok=True)
     write_all(targets, contents)
     return targets
+
+
+def _configured_bench(tree: xr.DataTree, result: Path) -> Path:
+    """The bench file that the configuration of a result names."""
+    config = tomllib.loads(tree.attrs.get("config", ""))
+    named = config.get("estimator", {}).get("bench")
+    if named is None or not Path(named).is_file():
+        raise ResultError(
+            "The bench of this result is not known.",
+            file=result,
+            found=f"no file {named}" if named else "no bench in its configuration",
+            expected="--bench FILE, the bench that it was measured with",
+        )
+    return Path(named)
 
 
 def _draws(posterior: xr.Dataset, bench: Bench) -> dict[str, FloatArray]:

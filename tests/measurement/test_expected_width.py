@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from places import BEFORE, CONFIGS
 
 from bayesbl import cli
+from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
@@ -19,8 +21,10 @@ from bayesbl.measurement.expected_width import expected_sds
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.model_search.always_in import directions, with_far_terms_freed, with_friction
 from bayesbl.model_search.pipeline import direct_unknowns
+from bayesbl.runs.simulate import recording_csv
 
 BENCH, GAP_RAD = reference_bench(), 5e-4
+RNG = np.random.default_rng(1)
 
 
 def recordings(rotations: float) -> list[Observed]:
@@ -75,7 +79,23 @@ def test_check_says_nothing_of_gaps_outside_the_prior(
     low_rad: float, is_expected: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It ended in a traceback where the prior holds none of the gaps that it asks for."""
-    config = tmp_path / "config.toml"
+    assert ("expected:" in checked(BEFORE, tmp_path, capsys, low_rad)) is is_expected
+
+
+def test_check_says_what_strokes_would_show(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    motion = strokes(120.0, (-0.5, 0.5), 1500.0, 6000.0, 0.15, 8.0)
+    file = tmp_path / "strokes.csv"
+    file.write_text(recording_csv(BENCH.simulate(GAP_RAD, motion, sampling_hz=500.0, seed=RNG)))
+    assert re.search(r"expected: .*±0\.00\d+ mrad at 1 mrad", checked(file, tmp_path, capsys))
+
+
+def checked(
+    recording: Path, folder: Path, capsys: pytest.CaptureFixture[str], low_rad: float = 0.0
+) -> str:
+    """What ``check`` prints of a fit of one recording by the direct route."""
+    config = folder / "config.toml"
     config.write_text(
         f"""
 schema = 1
@@ -90,8 +110,8 @@ bench = "{CONFIGS / "bench.toml"}"
 gap_rad = [{low_rad}, 1e-2]
 [[recordings]]
 name = "before"
-file = "{BEFORE}"
+file = "{recording}"
 """
     )
     assert cli.status(["check", str(config)]) == 0
-    assert ("expected:" in capsys.readouterr().out) is is_expected
+    return capsys.readouterr().out

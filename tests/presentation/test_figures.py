@@ -211,6 +211,11 @@ def test_the_gap_figure_shows_gaps_limit_and_change_as_stored(tree):
     assert change.get_xlim()[0] < 1e3 * float(tree["change"]["change_rad"].median())
 
 
+def test_no_letter_is_smaller_than_journals_take(tree):
+    sizes = [t.get_fontsize() for t in gap(tree).findobj(mpl.text.Text) if t.get_text()]
+    assert min(sizes) >= 7.0
+
+
 # Files
 
 

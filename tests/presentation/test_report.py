@@ -316,6 +316,19 @@ def test_two_routes_stand_side_by_side_and_one_line_says_which_is_the_answer():
     assert "change 0.275 0.270 to 0.280 0.25 0.20 to 0.30" in text
 
 
+def test_the_friction_of_a_simulation_is_told_once():
+    found = of_two_routes()
+    name = "load_coulomb_friction__torque_nm"
+    for snapshot in found["snapshots"]:
+        snapshot["routes"]["direct"]["parameters"] = {name: between(4.0, 6.0)}
+    told = flat(printed(found))
+    assert (
+        told.count("Friction, fitted with the gap: load Coulomb friction 5.0 (4.0 to 6.0) N m.")
+        == 1
+    )
+    assert "Friction" not in printed(comparison())
+
+
 def test_a_disagreement_of_the_routes_comes_first():
     text = flat(printed(of_two_routes(code="routes_disagree")))
     lead = "The two routes disagree in after. Find out why the two estimates differ. The change "

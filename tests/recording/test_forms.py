@@ -4,6 +4,7 @@ in one note, or refused with the place and what to do."""
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from struct import pack
@@ -1922,6 +1923,63 @@ def test_frames_of_a_bus_are_decoded_by_the_dbc_file_beside_them(
     (tmp_path / "other.dbc").rename(tmp_path / "drive.dbc")
     with pytest.raises(RecordingError, match="none of a message in its DBC file"):
         read_table(path)
+
+
+def rewritten_can_log(folder: Path, suffix: str, rewrite: Callable[[list[str]], list[str]]) -> Path:
+    """A CAN log whose lines were rewritten, with its DBC file beside it."""
+    can_log(log := folder / f"can.{suffix}")
+    log.write_text("\n".join(rewrite(log.read_text().splitlines())) + "\n", encoding="utf-8")
+    (folder / "can.dbc").write_text(DBC)
+    return log
+
+
+def spaced(line: str, stamp: str) -> str:
+    """A line of ``candump -L`` as candump prints it on a terminal."""
+    name, _, content = line.split()[-1].partition("#")
+    return f"{stamp}  can0  {name}   [{len(content) // 2}]  {' '.join(re.findall('..', content))}"
+
+
+def of_differences(lines: list[str]) -> list[str]:
+    """Lines of candump with the time since the line before, as ``-td`` writes it."""
+    stamps = [float(line[1 : line.index(")")]) for line in lines]
+    steps = np.diff(stamps, prepend=stamps[0])
+    return [spaced(line, f" ({step:010.6f})") for step, line in zip(steps, lines, strict=True)]
+
+
+def of_relative_stamps(lines: list[str]) -> list[str]:
+    """Lines of Vector's tools with the time since the line before."""
+    before, written = 0.0, []
+    for line in lines:
+        stamp, _, rest = line.strip().partition(" ")
+        if re.fullmatch(r"\d+\.\d+", stamp):
+            written.append(f"{float(stamp) - before:12.6f} {rest}")
+            before = float(stamp)
+        else:
+            written.append(line.replace("timestamps absolute", "timestamps relative"))
+    return written
+
+
+@pytest.mark.parametrize(
+    ("suffix", "rewrite"),
+    [
+        ("asc", lambda lines: ["\ufeff" + lines[0], *lines[1:]]),
+        ("asc", lambda lines: [line for line in lines if re.match(r"\s*\d+\.\d+ +1 ", line)]),
+        ("asc", of_relative_stamps),
+        ("log", of_differences),
+    ],
+)
+def test_a_can_log_may_lack_a_header_or_have_relative_stamps(suffix, rewrite, tmp_path):
+    path = rewritten_can_log(tmp_path, suffix, rewrite)
+    columns = {name: ColumnSpec(of) for name, of in CAN_COLUMNS.items()}
+    read = read_recording(path, columns=columns)
+    assert read.time_s - read.time_s[0] == pytest.approx(TIME - TIME[0], abs=2e-4)
+    assert read.motor_speed_rpm == pytest.approx(SPEED, abs=0.05)
+
+
+def test_a_can_log_without_times_is_refused_for_that(tmp_path):
+    path = rewritten_can_log(tmp_path, "log", lambda lines: [spaced(line, "") for line in lines])
+    with pytest.raises(RecordingError, match=r"no times.*candump -L"):
+        read_recording(path, columns={"motor_speed_rpm": ColumnSpec("MotorSpeed")})
 
 
 CAN_COLUMNS = {"motor_speed_rpm": "MotorSpeed", "motor_current_a": "MotorCurrent"}

@@ -157,6 +157,19 @@ def test_another_bench_and_existing_files_are_refused(result: Path, tmp_path: Pa
     assert len(export(result, CONFIGS / "joint.toml", tmp_path, force=True)) == 2
 
 
+def test_the_bench_is_that_of_the_result_unless_another_is_given(
+    result: Path, tmp_path: Path
+) -> None:
+    files = export(result, None, tmp_path / "out")
+    given = export(result, CONFIGS / "joint.toml", tmp_path / "given")
+    assert [f.read_text() for f in files] == [f.read_text() for f in given]
+    tree = bayesbl.read_result(result).to_datatree()
+    tree.attrs["config"] = tree.attrs["config"].replace("joint.toml", "moved.toml")
+    write_tree(tree, tmp_path / "result.nc")
+    with pytest.raises(ResultError, match=r"moved.toml.*--bench FILE"):
+        export(tmp_path, None, tmp_path / "out")
+
+
 def test_only_snapshots_with_a_gap_are_written(tmp_path: Path) -> None:
     """Of two recordings by the amplitude and the paper's curve, one with no gap to report."""
     both = bayesbl.compare(BEFORE, AFTER, curve="published", seed=1, workers=1).to_datatree()

@@ -11,6 +11,7 @@ from places import AFTER, BEFORE
 from recording_files import write_csv, write_netcdf
 
 from bayesbl import cli
+from bayesbl.bench.motion import strokes
 from bayesbl.config.loading import load_config
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
@@ -172,6 +173,25 @@ def test_a_recording_that_is_not_there_leaves_no_configuration(tmp_path, capsys)
     assert cli.status(arguments) == cli.WRONG
     assert "none.csv: There is no such file" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["joint_speed", "load_position"])
+def test_a_column_of_the_joint_is_told_to_need_the_gear_ratio(name, measured, tmp_path):
+    values = {"time_s": measured.time_s, name: measured.motor_speed_rpm / 120.0}
+    found = guess_columns(read_table(write_csv(tmp_path / "joint.csv", values)))
+    (asked,) = (c.reason for c in found.columns if c.channel == "motor_position_rad")
+    assert f'or "{name}", behind the gearbox: enter the gear ratio with its unit' in asked
+
+
+def test_init_of_strokes_asks_for_a_bench_and_is_no_failure(tmp_path, capsys):
+    time_s = np.arange(0.0, 4.0, 1e-3)
+    speed = strokes(120.0, (-0.5, 0.5), 1500.0, 6000.0, 0.15, 4.0).speed_rpm(time_s)
+    values = {"time_s": time_s, "motor_speed_rpm": speed, "reference_speed_rpm": speed}
+    path = write_csv(tmp_path / "strokes.csv", values)
+    assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == 0
+    printed = capsys.readouterr()
+    assert not printed.err
+    assert "fill in bench" in " ".join(printed.out.split())
 
 
 def test_what_cannot_run_is_not_told_to_run(measured, tmp_path, capsys):

@@ -200,7 +200,7 @@ def _draw_rows(
         away = {"left": -12.0, "right": 12.0, "center": 0.0}[side]
         panel.annotate(
             text, (at, place), (away, -4.5), textcoords="offset points", ha=side, va="top",
-            fontsize=6.5,
+            fontsize=7.0,
         )  # fmt: skip
     panel.set_ylim(count - 0.45, -1.0)
     panel.set_yticks(range(len(rows)), [row.label for row in rows])

@@ -6,9 +6,12 @@ Frames of one message, with the same signals in them, were sampled together.
 from __future__ import annotations
 
 import io
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import timedelta
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,9 @@ from cantools.logreader import Parser
 from bayesbl.errors import RecordingError
 from bayesbl.recording.array_table import ArrayTable, Group, table_of_groups
 from bayesbl.recording.input_bytes import two_of
+
+_HEAD = 20_000
+_VECTOR_FRAME = re.compile(r"(?im)^\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s")
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
@@ -37,7 +43,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
     messages = {(m.frame_id, m.is_extended_frame): m for m in database.messages}
     rows: dict[tuple[Any, ...], list[tuple[float, dict[str, float]]]] = {}
     repairs: Counter[str] = Counter()
-    for time, bus, number, content in _frames(log):
+    for time, bus, number, content in _frames(file, log) if dbc else ():
         if number not in messages:
             continue
         try:
@@ -63,18 +69,46 @@ def read(file: Path, data: bytes) -> ArrayTable:
     return replace(table_of_groups(file, groups, one_origin=True), repairs=repairs)
 
 
-def _frames(log: bytes) -> Iterator[tuple[float, object, tuple[int, bool], bytes]]:
-    """Time in s, bus, identifier, whether that is extended, and content of each frame of data."""
-    text, is_binary = io.StringIO(log.decode("latin-1")), log.startswith(b"LOGG")
-    if is_binary or log[:5].lower() == b"date ":
-        for frame in can.BLFReader(io.BytesIO(log)) if is_binary else can.ASCReader(text):
+def _frames(file: Path, log: bytes) -> Iterator[tuple[float, object, tuple[int, bool], bytes]]:
+    """Yield time in s, bus, (identifier, whether it is extended) and content of each data frame."""
+    text = log.decode("latin-1").removeprefix("\xef\xbb\xbf")
+    is_binary = log.startswith(b"LOGG")
+    if is_binary or _VECTOR_FRAME.search(text[:_HEAD]):
+        asc = io.StringIO(_with_header(text))
+        for frame in can.BLFReader(io.BytesIO(log)) if is_binary else can.ASCReader(asc):
             if not (frame.is_remote_frame or frame.is_error_frame):
                 number = (frame.arbitration_id, frame.is_extended_id)
                 yield frame.timestamp, frame.channel, number, bytes(frame.data)
         return
-    first = None
-    for frame in Parser(text):
-        if frame.timestamp is not None and not frame.is_remote_frame:
-            first = frame.timestamp if first is None else first
-            seconds = (frame.timestamp - first).total_seconds()
-            yield seconds, frame.channel, (frame.frame_id, frame.is_extended_frame), frame.data
+    frames = list(Parser(io.StringIO(text)))
+    stamps = [frame.timestamp for frame in frames]
+    if None in stamps:
+        raise RecordingError(
+            "These CAN frames have no times.",
+            file=file,
+            found="lines of candump without a time",
+            expected="a log of `candump -L` or `candump -tz`",
+        )
+    seconds = [(stamp - stamps[0]).total_seconds() for stamp in stamps]
+    if any(b < a for a, b in pairwise(seconds)) and isinstance(stamps[0], timedelta):
+        # Of candump -td: the time since the frame before.
+        seconds = [*accumulate(stamp.total_seconds() for stamp in stamps)]
+    for second, frame in zip(seconds, frames, strict=True):
+        if not frame.is_remote_frame:
+            yield second, frame.channel, (frame.frame_id, frame.is_extended_frame), frame.data
+
+
+def _with_header(text: str) -> str:
+    """An .asc file as python-can expects it: with a header, and times from one origin."""
+    if re.match(r"\s*\d", text):  # python-can takes the first line for a header
+        text = f"no internal events logged\n{text}"
+    if not re.search(r"(?im)^base\s.*timestamps\s+relative", text[:_HEAD]):
+        return text
+    passed = 0.0
+
+    def from_origin(stamp: re.Match[str]) -> str:
+        nonlocal passed
+        passed += float(stamp[0])
+        return f"{passed:.9f}"
+
+    return re.sub(r"(?m)^ *\d+\.\d+(?=\s)", from_origin, text)
