@@ -14,8 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from bayesbl import __version__
-from bayesbl.cli.commands import COMMANDS
-from bayesbl.cli.running import FAILED, FIGURES, WITHHELD, WRONG, brought_forward
+from bayesbl.cli.commands import COMMANDS, FAILED, FIGURES, WITHHELD, WRONG, brought_forward
 from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]

@@ -9,11 +9,11 @@ With it goes what to do about it and what it takes for granted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import play, wear, words
+from bayesbl.presentation import wear, words
 from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
 from bayesbl.presentation.words import SURE, interval_kind, route_in_words
 from bayesbl.units import in_words as name_in_words
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         SamplerCheckSummary,
         SnapshotSummary,
     )
+    from bayesbl.results.intervals import Interval
     from bayesbl.runs.kinds import Summary
 
 
@@ -103,7 +104,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     if summary["kind"] == "compare" and summary["wear"] is not None:
         yield from wear.blocks(summary, summary["wear"], is_told=shrinkage(summary) is not None)
     yield aside(RINGING_EXPLAINED if is_ringing_alone(summary) else GAP_EXPLAINED)
-    positions = play.of_positions(parts) if "ramps" in parts[0][1] else ()
+    positions = _of_positions(parts) if "ramps" in parts[0][1] else ()
     yield from map(aside, (*positions, *friction(summary), *budget(summary), *not_answering(parts)))
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
@@ -165,7 +166,7 @@ def _gap_in_words(summary: MeasuredSummary) -> str | None:
             )
         text = words.change_of("The gap", change, "mrad", 1e3)
         return f"{by}{text}; {grew(growth)}{wear.unless(summary)}."
-    if (none := play.no_play_by_ramps(summary)) is not None:
+    if (none := _no_play_by_ramps(summary)) is not None:
         return none
     if (upper_rad := summary["delta_upper_bound_rad"]) is not None:
         bound = words.significant(1e3 * upper_rad)
@@ -367,7 +368,7 @@ def _gap_table(summary: MeasuredSummary) -> Table:
             else "Gap "
         )
         columns += [numbers(f"{by}δ (mrad)"), numbers(f"{kind}\n(mrad)")]
-    beside = play.columns(parts[0][1])
+    beside = _play_columns(parts[0][1])
     columns += [*map(numbers, beside), text("Outcome")]
     rows = []
     for name, part in parts:
@@ -375,7 +376,7 @@ def _gap_table(summary: MeasuredSummary) -> Table:
         for own in (part["routes"][route] for route in routes):
             cells += words.gap_cells(own["delta_rad"], own["delta_upper_bound_rad"])
         cells += [shown(part) for shown in beside.values()]
-        rows.append([*cells, play.outcome(part) if beside else part["diagnostics"]["outcome"]])
+        rows.append([*cells, _outcome(part) if beside else part["diagnostics"]["outcome"]])
     if summary["kind"] == "compare":
         cells = ["change", *words.gap_cells(summary["change_rad"])]
         for route in routes[1:]:
@@ -530,9 +531,9 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
     """Assumptions of a measured gap."""
     last = snapshots(summary)[-1][1]
     if "ramps" in last:
-        yield from play.RAMPS_ASSUME
+        yield from _RAMPS_ASSUME
     elif "reversals" in last:
-        yield from play.ENCODERS_ASSUME
+        yield from _ENCODERS_ASSUME
     else:
         yield from _of_ringing_joint(summary, last)
     if summary["kind"] == "compare":
@@ -574,3 +575,89 @@ def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterat
     yield f"Noise does not repeat from one {again} to the next, and it is steady."
     if not is_ringing_alone(summary):
         yield "The prior makes every gap equally likely on a logarithmic scale."
+
+
+def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
+    """The answer of a preloaded joint; ``None`` with play."""
+    if not part.get("preloaded") or part["delta_rad"] is None:
+        return None
+    lifts = part["preload_torque_nm"]
+    up_to = "the preload is unknown"
+    if lifts is not None:
+        up_to = f"both flanks carry the torque up to {words.with_bounds(lifts, 'N m')}"
+    most = words.significant(1e3 * part["delta_rad"]["high"])
+    return (
+        f"These ramps show no play: the joint is stiffer around zero torque than beyond; {up_to}. "
+        f"Any gap δ that this hides is below {most} mrad."
+    )
+
+
+def _play_columns(part: SnapshotSummary) -> dict[str, Callable[[SnapshotSummary], str]]:
+    """What a route that measures the play shows of a snapshot beside δ, by title of its column."""
+    if "ramps" in part:
+        at = words.significant(part["lost_motion_torque_nm"])
+        return {
+            f"Lost motion\n±{at} N m\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "Compliance\n(mrad/N m)": lambda p: _median(p["compliance_rad_per_nm"], 1e3),
+            "Friction\n(N m)": lambda p: _median(p["friction_torque_nm"]),
+        }
+    if "reversals" in part:
+        return {
+            "Play 2δ\n(mrad)": lambda p: _median(p["play_rad"], 1e3),
+            "Lost motion\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "Skew\n(ms)": lambda p: words.bounds(p["channel_skew_s"], 1e3),
+            "Gear\nratio": lambda p: words.middle(p["gear_ratio"]),
+        }
+    return {}
+
+
+def _outcome(part: SnapshotSummary) -> str:
+    """Whether there is play, where that is not sure; else how the measurement ended."""
+    if part.get("preloaded"):
+        return "no play"
+    if "reversals" in part and part["delta_upper_bound_rad"] is not None:
+        return "play likely" if part["probability_of_play"] > 0.5 else "no play found"
+    return part["diagnostics"]["outcome"]
+
+
+def _of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
+    """A sentence for each snapshot on the widths that its positions around the turn have."""
+    for name, part in parts:
+        if part["delta_rad"] is None:
+            continue
+        ramps = part["ramps"]
+        each = ", ".join(words.significant(500.0 * w, 3) for w in ramps["width_rad"])
+        where = "1 position" if ramps["positions"] == 1 else f"{ramps['positions']} positions"
+        yield (
+            f"Half the width at zero torque{words.of(name)}, at {where} around the turn: {each} "
+            f"mrad ({ramps['cycles']} cycles of ±{ramps['torque_nm']:.3g} N m)."
+        )
+    for name, part in parts:
+        held = part["held_windup_rad"]["median"]
+        if held > 0.0 and not part["preloaded"] and part["delta_rad"] is not None:
+            yield (
+                f"About {words.significant(1e3 * held)} mrad of half the width{words.of(name)} may "
+                "be wind-up that friction holds at zero torque, or more if the flanks are softer "
+                "at small torque. It was subtracted from the gap as an unknown share."
+            )
+
+
+def _median(interval: Interval | None, scale: float = 1.0) -> str:
+    return "withheld" if interval is None else words.significant(scale * interval["median"], 3)
+
+
+_RAMPS_ASSUME = (
+    "The output was held and did not give way; position and torque are those of the output.",
+    "The ramps are slow: friction and inertia do not depend on how fast the joint moves.",
+    "The measured positions represent the whole turn.",
+    "Play is the width of the loop at zero torque. If the joint is soft, part of this width is "
+    "wind-up held by friction.",
+)
+
+_ENCODERS_ASSUME = (
+    "Friction drags the load through the play, or the load crosses it by itself; the load's weight "
+    "does not hold it on one flank in both directions.",
+    "Both encoders turn with their shafts and read without hysteresis: a loose ring or coupling "
+    "looks like play, and so does hysteresis.",
+    "Transmission error depends only on the angles and is the same in both directions.",
+)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bayesbl.errors import ResultError
-from bayesbl.presentation.subjects import SUBJECTS, blocks
+from bayesbl.presentation.console import SUBJECTS, blocks
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.runs.kinds import summarise
 

@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 from zipfile import BadZipFile
@@ -118,8 +117,7 @@ def answer(request: dict[str, object]) -> None:
         # pandas and xarray import them where they are there; no reader needs them for that.
         with absent(*extras):
             data = sys.stdin.buffer.read()
-            module = import_module(str(request["module"]), formats.__name__)
-            table: ArrayTable = module.read(file, data)
+            table = formats.reader_of(str(request["module"]))(file, data)
         values = sum(column.size for column in table.arrays.values())
         require_memory(file, len(data) + 8.0 * values, f"its bytes and {values} numbers")
         result = table

@@ -18,7 +18,7 @@ from fresh_process import loaded_by
 from places import AFTER, BEFORE, CONFIGS, RECORDINGS
 
 from bayesbl import cli
-from bayesbl.cli.running import brought_forward
+from bayesbl.cli.commands import brought_forward
 
 ROTATION_SAMPLES = 3600
 

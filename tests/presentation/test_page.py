@@ -26,9 +26,9 @@ from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation.answer import NOT_SHOWN
+from bayesbl.presentation.console import SUBJECTS
 from bayesbl.presentation.page.build import page, prose
 from bayesbl.presentation.result_object import result_of
-from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import dataset
 from bayesbl.runs.kinds import summarise

@@ -17,9 +17,8 @@ from markupsafe import Markup
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block
-from bayesbl.presentation.console import all_bibtex
+from bayesbl.presentation.console import SUBJECTS, all_bibtex, blocks, details, origin
 from bayesbl.presentation.figures.stored_figure import drawn
-from bayesbl.presentation.subjects import SUBJECTS, blocks, details, origin
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import write_text
 from bayesbl.runs.kinds import read_result, summarise

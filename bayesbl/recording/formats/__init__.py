@@ -61,8 +61,15 @@ class Format:
     @property
     def read(self) -> Callable[[Path, bytes], ArrayTable]:
         """From path and bytes to named columns."""
-        reader: Callable[[Path, bytes], ArrayTable] = import_module(self.module, __name__).read
-        return reader
+        return reader_of(self.module)
+
+
+def reader_of(module: str) -> Callable[[Path, bytes], ArrayTable]:
+    """The function ``read`` of a module of this package, or another one: ``.csv:read_diadem``."""
+    name, _, function = module.partition(":")
+    reader: Callable[[Path, bytes], ArrayTable]
+    reader = getattr(import_module(name, __name__), function or "read")
+    return reader
 
 
 CAN_LOG = Format(
@@ -95,7 +102,9 @@ _MAT_4 = (*((0, bytes([kind, 0, 0, 0])) for kind in range(0, 60, 10)), (0, b"\x0
 
 _EVERY = (
     Format("CSV, TSV", (".csv", ".tsv", ".txt", ".log", ".lvm", ".asc", ".prn"), ".csv"),
-    Format("DIAdem or KUKA trace", (".dat",), ".diadem", beside=("{stem}.r64", "{stem}.R64")),
+    Format(
+        "DIAdem or KUKA trace", (".dat",), ".csv:read_diadem", beside=("{stem}.r64", "{stem}.R64")
+    ),
     Format("Excel", (".xlsx", ".xlsm"), ".excel", "openpyxl", ((0, b"PK\x03\x04"),)),
     Format(
         "JSON",
@@ -103,14 +112,14 @@ _EVERY = (
         ".json_log",
         signatures=((0, b"{"), (0, b"["), (0, b"\xef\xbb")),
     ),
-    Format("MATLAB", (".mat",), ".matlab", signatures=(*_MAT_5, *SIGNATURES, *_MAT_4)),
-    Format("HDF5", (".h5", ".hdf5"), ".matlab", signatures=SIGNATURES),
-    Format("NumPy", (".npz",), ".matlab", signatures=((0, b"PK\x03\x04"),)),
+    Format("MATLAB", (".mat",), ".arrays", signatures=(*_MAT_5, *SIGNATURES, *_MAT_4)),
+    Format("HDF5", (".h5", ".hdf5"), ".arrays", signatures=SIGNATURES),
+    Format("NumPy", (".npz",), ".arrays", signatures=((0, b"PK\x03\x04"),)),
     Format("MDF", (".mf4", ".mdf"), ".mdf", "asammdf", ((0, b"MDF "), (0, b"UnFinMF"))),
     Format(
         "NetCDF",
         (".nc",),
-        ".netcdf",
+        ".arrays:read_netcdf",
         signatures=((0, b"CDF\x01"), (0, b"CDF\x02"), (0, b"CDF\x05"), *SIGNATURES),
     ),
     Format(

@@ -1,19 +1,34 @@
-"""Text in any encoding: a table, a log of events, or an export of TwinCAT Scope."""
+"""Text in any encoding: a table, a log of events, or an export of TwinCAT Scope or DIAdem.
+
+TwinCAT Scope writes lines that describe the channels, then times and values in turn. Channels stand
+side by side in groups, each behind a column of its own times in ms. A slower group ends before the
+others, or repeats its samples to fill the lines.
+
+DIAdem's ``.dat`` (also KUKA's trace) is a header; its samples are 64-bit floats in a file beside
+it. After ``#BEGINCHANNELHEADER`` come lines of code and value: 200 name, 202 unit, 210 ``IMPLICIT``
+(a line over the number of the sample) or ``EXPLICIT``, 213 ``BLOCK`` (samples of all channels in
+turn) or ``CHANNEL``, 220 samples, 221 where the channel begins, from 1, 240 offset, 241 factor.
+KUKA writes German words. Any other ``.dat`` is a table.
+"""
 
 from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 
-from bayesbl.errors import RecordingError
-from bayesbl.recording.array_table import ArrayTable
-from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_export
-from bayesbl.recording.input_bytes import require_memory
+import numpy as np
+
+from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.array_table import AnyArray, ArrayTable, is_number, number_in, numbered
+from bayesbl.recording.channels import TIME
+from bayesbl.recording.input_bytes import require_memory, two_of
 from bayesbl.recording.text_table import (
     EXPECTED,
     TIMES,
+    Layout,
     in_cells,
     in_columns,
     layout_of,
@@ -56,9 +71,9 @@ def read(file: Path, data: bytes) -> ArrayTable:
             )
     text, control = _in_utf8(file, data)
     head = list(islice(lines_of(text), _HEAD_LINES))
-    if is_scope_export("\n".join(head)):
+    if _is_scope_export("\n".join(head)):
         require_memory(file, TIMES * len(data), "cells of text")
-        return read_scope_export(file, list(lines_of(text)))
+        return _read_scope_export(file, list(lines_of(text)))
     if (table := in_cells(file, text, head)) is None:
         layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
         table = table_of_text(file, text, layout, control)
@@ -102,3 +117,129 @@ def _encoding(data: bytes) -> str:
         if japanese:
             return name
     return "latin-1"  # of which any byte is a character
+
+
+_SEPARATORS = "\t;,"
+_SCALES = {"Offset": 0.0, "ScaleFactor": 1.0, "Unit Offset": 0.0, "Unit ScaleFactor": 1.0}
+"""What leaves a value as it is. Whether the export scaled it is not in the file."""
+
+_SCOPE_BEGIN = re.compile(rf"Name[{_SEPARATORS}]")
+_SCOPE_LINE = re.compile(
+    rf"^(?:Starttime of export|Data-Type|SampleTime(?:\[ms\])?|SymbolName)[{_SEPARATORS}]", re.M
+)
+_LONGEST_HEADER = 500
+"""Lines in which the first sample is looked for; comments may go over several."""
+
+_FILETIME = 1e15
+"""A time from here on is a Windows date in units of 100 ns, not a count of ms."""
+
+
+def _is_scope_export(text: str) -> bool:
+    """Whether a text begins as TwinCAT Scope's exports do, with lines on its channels."""
+    return bool(_SCOPE_BEGIN.match(text)) and bool(_SCOPE_LINE.search(text[:100_000]))
+
+
+def _read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
+    """All channels; a unit only where no scale leaves open what it belongs to.
+
+    Raises
+    ------
+    RecordingError
+        If its channels have no times, or there is text among these.
+    """
+
+    separator = lines[0][4]
+    head = [[cell.strip() for cell in line.split(separator)] for line in lines[:_LONGEST_HEADER]]
+    above = next((i for i, cells in enumerate(head) if is_number(cells[0])), len(head))
+    known = {cells[0]: cells for cells in head[:above]}  # the later "Name" is the channels'
+    starts = [i for i, cell in enumerate(known["Name"]) if cell == "Name"]
+    width = len(known["Name"])
+    if width < 2 or not any(b - a > 1 for a, b in zip(starts, [*starts[1:], width], strict=True)):
+        raise RecordingError(
+            "This export of TwinCAT Scope has no channels.",
+            file=file,
+            where=f"line {above}",
+            found=shortened(", ".join(known["Name"])),
+            expected="a line of channels' names with a column of times before each group",
+        )
+    body = [*[""] * above, *_padded_lines(lines[above:], separator, width)]
+    first = number_in(body[above].partition(separator)[0], ".") if len(body) > above else None
+    time = "100 ns" if first is not None and first >= _FILETIME else "ms"
+    names = numbered([TIME if i in starts else name for i, name in enumerate(known["Name"])])
+    units = [time if i in starts else _scope_unit(known, i) for i in range(width)]
+    layout = Layout(separator, tuple(names), units=tuple(units))
+    return table_of_text(file, "\n".join(body).encode(), layout)
+
+
+def _padded_lines(lines: Sequence[str], separator: str, width: int) -> Iterator[str]:
+    """Lines of samples with a decimal point and a cell for every column."""
+    for line in lines:
+        if line.strip("\r\n ") == "EOF":
+            break
+        cells = (line if separator == "," else line.replace(",", ".")).split(separator)
+        yield separator.join([*cells[:width], *[""] * (width - len(cells))])
+
+
+def _scope_unit(known: Mapping[str, Sequence[str]], column: int) -> str:
+    """``rad/s`` of ``rad/s (Velocity)``; empty where there is none, or where a scale is set."""
+    for key, neutral in _SCALES.items():
+        cells = known.get(key, ())
+        text = cells[column].replace(",", ".") if column < len(cells) else ""
+        if text and text != f"{neutral:g}":
+            return ""
+    cells = known.get("Unit", ())
+    unit = cells[column] if column < len(cells) else ""
+    return "" if unit.startswith("(") else unit.partition(" (")[0]
+
+
+_DIADEM_CHANNEL = b"#BEGINCHANNELHEADER"
+
+
+def read_diadem(file: Path, data: bytes) -> ArrayTable:
+    """Channels of a header and the samples of the file beside it.
+
+    Raises
+    ------
+    RecordingError
+        If the samples are missing, or fewer than the header says.
+    """
+    header, samples = two_of(data)
+    if _DIADEM_CHANNEL not in header:
+        return read(file, header)
+    channels = [_diadem_values(part) for part in header.split(_DIADEM_CHANNEL)[1:]]
+    are_stored = [not c.get(210, "").upper().startswith("IMPL") for c in channels]
+    stored = sum(are_stored)
+    count = max((int(float(c.get(220, 0))) for c in channels), default=0)
+    values = np.frombuffer(samples, "<f8", count=len(samples) // 8)
+    if count < 1 or not stored or values.size < count * stored:
+        raise RecordingError(
+            "The samples of this header are not all there.",
+            file=file,
+            found=f"{values.size} numbers in {file.stem}.r64 beside it",
+            expected=f"{stored} channels of {count} samples, 64-bit floats",
+        )
+    interleaved = values[: count * stored].reshape(count, stored)
+    arrays: dict[str, AnyArray] = {}
+    units: dict[str, str] = {}
+    names = numbered([c.get(200, "") for c in channels])
+    place = 0
+    for name, channel, is_stored in zip(names, channels, are_stored, strict=True):
+        offset, factor = float(channel.get(240) or 0.0), float(channel.get(241) or 1.0)
+        if not is_stored:
+            raw = np.arange(count, dtype=float)
+        elif channel.get(213, "").upper().startswith(("CHANNEL", "KANAL")):
+            begin = int(float(channel.get(221) or 1)) - 1
+            raw = values[begin : begin + count]
+        else:
+            raw = interleaved[:, place]
+        place += is_stored
+        arrays[name] = offset + factor * raw
+        if channel.get(202, "").strip("[] "):
+            units[name] = channel[202].strip("[] ")
+    return ArrayTable(str(file), arrays, units)
+
+
+def _diadem_values(part: bytes) -> dict[int, str]:
+    """Code to value of a channel's lines."""
+    lines = (line.partition(",") for line in part.decode("cp1252", "replace").splitlines())
+    return {int(code): value.strip() for code, _, value in lines if code.strip().isdigit()}
