@@ -42,10 +42,7 @@ class Takes:
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """The function with its arguments converted as its annotations say.
 
-    Raises
-    ------
-    UserError
-        For an argument that cannot be used.
+    Raises UserError for an argument that cannot be used.
     """
     signature = inspect.signature(function)
 

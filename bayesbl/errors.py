@@ -12,18 +12,11 @@ E = TypeVar("E", bound="UserError")
 class UserError(Exception):
     """A mistake in usage, configuration or input; ends the command with exit status 2.
 
-    Parameters
-    ----------
-    problem
-        What is wrong, as a sentence without the place.
-    file
-        The file it was found in, if any.
-    where
-        The line, column or field inside the file, e.g. ``"line 14"`` or ``"[run] seed"``.
-    found, expected
-        What was there, and what should have been.
-
     ``code`` is what programs use.
+
+    ``problem``: what is wrong, as a sentence without the place. ``file``: the file it was found in,
+    if any. ``where``: the line, column or field inside the file, e.g. ``"line 14"`` or
+    ``"[run] seed"``. ``found``, ``expected``: what was there, and what should have been.
     """
 
     code = "refused"

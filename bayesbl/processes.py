@@ -36,10 +36,7 @@ def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     threads. Each uses one thread, as linear algebra on many rounds differently and the numbers must
     not depend on the workers. They take functions of modules: the script that runs is not imported.
 
-    Raises
-    ------
-    WorkerError
-        If a process dies.
+    Raises WorkerError if a process dies.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_start)

@@ -31,11 +31,8 @@ UNLESS_REPAIRED = (
 def sentence(reason: Mapping[str, Any]) -> str:
     """What a stored reason says, with all that stands beneath it.
 
-    Parameters
-    ----------
-    reason
-        ``code``, the values of its sentence by name; ``recordings`` where it holds for some alone,
-        ``also`` with further reasons.
+    ``reason``: ``code``, the values of its sentence by name; ``recordings`` where it holds for some
+    alone, ``also`` with further reasons.
     """
     values = {k: v for k, v in reason.items() if k not in _NO_VALUES}
     made = SENTENCES.get(reason["code"], "{text}")

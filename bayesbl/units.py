@@ -170,10 +170,7 @@ def conversion_factor(channel: str, unit: str) -> float:
     Beside :func:`accepted_units` a multiple (``4 ms``), a part (``rev/4096`` for counts of an
     encoder, ``rpm/7`` for electrical speed) or a share (``% of 12.5 A``, ``‰ of 2.4 N m``) of one.
 
-    Raises
-    ------
-    KeyError
-        If the unit is none of these.
+    Raises KeyError if the unit is none of these.
     """
     return _factor(_FACTORS.get(dimension_of(channel) or "", {}), unit)
 

@@ -539,10 +539,7 @@ class BenchFile(Section):
     def bench(self) -> Bench:
         """The bench.
 
-        Raises
-        ------
-        BenchError
-            If its parameters make no physical sense together.
+        Raises BenchError if its parameters make no physical sense together.
         """
         values = self._values()
         given = {name: entry.parameter(values[name]) for name, entry in self.parameters.items()}
@@ -586,10 +583,7 @@ def load_bench(path: File) -> Bench:
 def parse_bench(text: str, path: str | Path) -> Bench:
     """The bench of a bench file's text that a result holds; ``path`` is named by refusals.
 
-    Raises
-    ------
-    ConfigError
-        As :func:`load_bench`.
+    Raises ConfigError as :func:`load_bench`.
     """
     try:
         return _bench_of(BenchFile.model_validate(tomllib.loads(text)), path)

@@ -245,17 +245,9 @@ class _Document:
     def read(cls, path: Path, expected: str, instead_of_recording: str = "") -> _Document:
         """The tables of a file.
 
-        Parameters
-        ----------
-        expected
-            What the file should be, for messages.
-        instead_of_recording
-            The same where the file is a recording, if that is another thing.
-
-        Raises
-        ------
-        ConfigError
-            If there is no such file, or it is not TOML.
+        ``expected``: what the file should be, for messages. ``instead_of_recording``: the same
+        where the file is a recording, if that is another thing. Raises ConfigError if there is no
+        such file, or it is not TOML.
         """
         if suffix_of(path) in FORMATS and os.path.isfile(path):
             raise ConfigError(
@@ -282,10 +274,7 @@ class _Document:
     def of_kind(self, wanted: Collection[str]) -> _Document:
         """Itself; refused if it is of another kind, whose keys would all be unknown here.
 
-        Raises
-        ------
-        ConfigError
-            Naming the kind found and those wanted.
+        Raises ConfigError, naming the kind found and those wanted.
         """
         if self.kind not in FILES or self.kind in wanted:
             return self
@@ -303,10 +292,8 @@ class _Document:
     def validated(self, model: type[_Model]) -> _Model:
         """As a configuration.
 
-        Raises
-        ------
-        ConfigError
-            With everything that is wrong; it names the file where all of it is in the text.
+        Raises ConfigError with everything that is wrong; it names the file where all of it is in
+        the text.
         """
         try:
             return model.model_validate(self.tables, context={BASE_DIRECTORY: self.directory})
@@ -318,10 +305,7 @@ class _Document:
     def run_config(self) -> RunConfig:
         """As the configuration of a run of its kind.
 
-        Raises
-        ------
-        ConfigError
-            As :meth:`validated`; if it is of no kind that can be run.
+        Raises ConfigError as :meth:`validated`; if it is of no kind that can be run.
         """
         if self.kind in KINDS:
             return self.validated(KINDS[self.kind])
@@ -341,10 +325,8 @@ class _Document:
 def load_file(path: Path, model: type[_Model]) -> _Model:
     """The file, validated; its paths start from its own folder.
 
-    Raises
-    ------
-    ConfigError
-        Naming file and field: no such file, not TOML, another kind, or what the model refuses.
+    Raises ConfigError, naming file and field: no such file, not TOML, another kind, or what the
+    model refuses.
     """
     (kind,) = get_args(model.model_fields["kind"].annotation)
     document = _Document.read(path, f"a file of kind {_in_words(kind)} in TOML")
@@ -473,25 +455,13 @@ def config_from_options(
 ) -> RunConfig:
     """The configuration of a command: options override the file, which overrides the defaults.
 
-    Parameters
-    ----------
-    kind
-        That of ``config``; ``"fit"`` or ``"compare"`` where there are ``recordings``.
-    recordings
-        Files relative to the working directory; they replace those of ``config``, which is asked
-        for what it states of the same files.
-    config
-        A configuration to start from, of any kind that shares the sections.
-    dates
-        When each of ``recordings`` was taken, in place of what ``config`` states.
-    options
-        Keys of :data:`OPTIONS`; ``None`` means not given. Paths are relative to the working
-        directory.
-
-    Raises
-    ------
-    ConfigError
-        As :func:`load_config`; problems of options are named by the option.
+    ``kind``: that of ``config``; ``"fit"`` or ``"compare"`` where there are ``recordings``.
+    ``recordings``: files relative to the working directory; they replace those of ``config``, which
+    is asked for what it states of the same files. ``config``: a configuration to start from, of any
+    kind that shares the sections. ``dates``: when each of ``recordings`` was taken, in place of
+    what ``config`` states. ``options``: keys of :data:`OPTIONS`; ``None`` means not given. Paths
+    are relative to the working directory. Raises ConfigError as :func:`load_config`; problems of
+    options are named by the option.
     """
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
     document.of_kind(_sharing(kind))
@@ -539,10 +509,7 @@ def _sharing(kind: str) -> list[str]:
 def require_text_names(paths: Iterable[Path]) -> None:
     """Refuse names whose bytes are no text: configurations and results could not hold them.
 
-    Raises
-    ------
-    ConfigError
-        Naming the file.
+    Raises ConfigError, naming the file.
     """
     for path in paths:
         if str(path) != str(path).encode(errors="replace").decode():

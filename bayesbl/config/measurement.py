@@ -99,10 +99,7 @@ class Limit(Section):
     def windup_rad(self, torque_nm: float | None, stiffness_nm_per_rad: float | None) -> float:
         """What the joint gives way at the torque of a lost motion, both ways; 0 of other limits.
 
-        Raises
-        ------
-        ConfigError
-            Where rated torque or stiffness is missing.
+        Raises ConfigError where rated torque or stiffness is missing.
         """
         if self.at_torque_share is None:
             return 0.0
@@ -119,10 +116,7 @@ class Limit(Section):
     def delta_rad(self, windup_rad: float = 0.0) -> float:
         """The gap at this limit, rad.
 
-        Raises
-        ------
-        ConfigError
-            Where the joint gives way by more than the limit without any play.
+        Raises ConfigError where the joint gives way by more than the limit without any play.
         """
         whole = self.value * self._rad
         delta = whole if self.of == "delta" else 0.5 * (whole - windup_rad)

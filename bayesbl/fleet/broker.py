@@ -81,10 +81,7 @@ class Credentials(Section):
 def read_address(url: str) -> Address:
     """The address that a URL gives; nothing of a wrong one is repeated, as it may hold a password.
 
-    Raises
-    ------
-    ConfigError
-        Saying what is wrong with it.
+    Raises ConfigError, saying what is wrong with it.
     """
     try:
         parts = urlsplit(url)
@@ -113,10 +110,7 @@ def read_address(url: str) -> Address:
 def read_credentials(file: Path | None) -> Credentials:
     """Credentials from a TOML file that nobody else can read.
 
-    Raises
-    ------
-    ConfigError
-        If it cannot be read or holds anything else; none of its content is repeated.
+    Raises ConfigError if it cannot be read or holds anything else; none of its content is repeated.
     """
     if file is None:
         return Credentials()
@@ -147,10 +141,7 @@ def read_credentials(file: Path | None) -> Credentials:
 def stays_known_by(folder: Path) -> str:
     """The name of this client at the broker, kept in a folder, so that its session goes on.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    Raises OSError if the folder cannot be written.
     """
     file = folder / _CLIENT
     if not file.is_file():
@@ -164,10 +155,7 @@ def make_client(
 ) -> Client:
     """A client that is not connected yet.
 
-    Raises
-    ------
-    ConfigError
-        If paho-mqtt is missing, or the authority's certificate is none.
+    Raises ConfigError if paho-mqtt is missing, or the authority's certificate is none.
     """
     try:
         from paho.mqtt.client import Client
@@ -258,10 +246,7 @@ class Sender:
     have asked for the topic, and a broker may lose what it holds. So all are sent again each week,
     and at once to a broker that has lost what it knew; ``collect`` keeps each once.
 
-    Parameters
-    ----------
-    folder
-        Where it keeps its name and what it has sent.
+    ``folder``: where it keeps its name and what it has sent.
     """
 
     def __init__(

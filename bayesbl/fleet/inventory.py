@@ -56,16 +56,10 @@ _File = AfterValidator(str)
 class Joint(_Row):
     """A row of the inventory.
 
-    Attributes
-    ----------
-    gearbox
-        Type of the gearbox; empty where it is not given.
-    bench, curve
-        Where δ comes from; neither gives the ringing alone.
-    cost_at_limit
-        What it costs if the joint reaches its limit; in one currency for all.
-    repaired
-        Date of the last repair: what was recorded on it or later is of the repaired joint.
+    ``gearbox``: type of the gearbox; empty where it is not given. ``bench``, ``curve``: where δ
+    comes from; neither gives the ringing alone. ``cost_at_limit``: what it costs if the joint
+    reaches its limit; in one currency for all. ``repaired``: date of the last repair: what was
+    recorded on it or later is of the repaired joint.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -126,14 +120,8 @@ class _RecordingRow(_Row):
 class Found:
     """A recording that belongs to a joint.
 
-    Attributes
-    ----------
-    file
-        Path.
-    reason
-        Why it cannot be one.
-    sha256
-        Of its bytes; ``None`` before they were read, or where they cannot be.
+    ``file``: path. ``reason``: why it cannot be one. ``sha256``: of its bytes; ``None`` before they
+    were read, or where they cannot be.
     """
 
     joint: str
@@ -159,11 +147,8 @@ class Found:
 def read_joints(section: FleetSection) -> list[Joint]:
     """All rows of the inventory.
 
-    Raises
-    ------
-    ConfigError
-        Naming file, row and column: no joint, two of one name, a value that cannot be one, a bench
-        or a curve that is not there.
+    Raises ConfigError, naming file, row and column: no joint, two of one name, a value that cannot
+    be one, a bench or a curve that is not there.
     """
     file = section.joints
     joints = [_valid(Joint, row, file, number) for number, row in enumerate(_rows(file), start=1)]
@@ -219,10 +204,7 @@ def _require_column(key: str, name: str, columns: Collection[str], file: Path) -
 def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Found]:
     """All recordings, by joint and date; those of no joint of the inventory have a reason.
 
-    Raises
-    ------
-    ConfigError
-        If the table of recordings cannot be read.
+    Raises ConfigError if the table of recordings cannot be read.
     """
     recordings = list(_by_pattern(section) if section.is_pattern else _by_table(section))
     known = {joint.name for joint in joints}
@@ -319,10 +301,7 @@ _R = TypeVar("_R", bound=_Row)
 def _valid(model: type[_R], row: Mapping[str, str], file: Path, number: int) -> _R:
     """A row as it is declared; an empty cell is no value.
 
-    Raises
-    ------
-    ConfigError
-        Naming file, row and column.
+    Raises ConfigError, naming file, row and column.
     """
     given = {key: cell for key, cell in row.items() if cell}
     try:

@@ -49,21 +49,12 @@ REFUSED, FAILED = "refused", "failed"
 class RecordingAnswer:
     """What measuring one recording by itself gave.
 
-    Attributes
-    ----------
-    reason
-        Why δ is withheld, or the recording refused; ``None`` where it is not.
-    agrees
-        Whether the recording may be one of its bench.
-    gap_rad
-        Draws of δ, shape (draw,), withheld or not; ``None`` without a curve.
-    bench
-        What is not known of the bench, in coordinates with a standard normal prior, shape
-        (unknown, draw), paired with ``gap_rad``; ``None`` by the amplitude.
-    amplitude_rpm
-        Median, low and high.
-    lasting
-        Whether content and code alone decide it, so that it is the same whenever it is asked.
+    ``reason``: why δ is withheld, or the recording refused; ``None`` where it is not. ``agrees``:
+    whether the recording may be one of its bench. ``gap_rad``: draws of δ, shape (draw,), withheld
+    or not; ``None`` without a curve. ``bench``: what is not known of the bench, in coordinates with
+    a standard normal prior, shape (unknown, draw), paired with ``gap_rad``; ``None`` by the
+    amplitude. ``amplitude_rpm``: median, low and high. ``lasting``: whether content and code alone
+    decide it, so that it is the same whenever it is asked.
     """
 
     outcome: str
@@ -86,18 +77,10 @@ class RecordingAnswer:
 class JointAnswer:
     """How a joint wears since its last repair.
 
-    Attributes
-    ----------
-    reason
-        Why there is no rate; ``None`` where there is one.
-    used
-        Numbers of the recordings that the rate rests on.
-    gap_rad
-        Their gaps, paired by draw, shape (used, draw).
-    wear
-        Draws of the rate and of what goes with it; ``None`` where there is none.
-    lasting
-        As of a recording's answer.
+    ``reason``: why there is no rate; ``None`` where there is one. ``used``: numbers of the
+    recordings that the rate rests on. ``gap_rad``: their gaps, paired by draw, shape (used, draw).
+    ``wear``: draws of the rate and of what goes with it; ``None`` where there is none. ``lasting``:
+    as of a recording's answer.
     """
 
     reason: str | None
@@ -112,12 +95,8 @@ class JointAnswer:
 class JointJob:
     """A joint with its recordings in order of time; it can be sent to another process.
 
-    Attributes
-    ----------
-    of_bench, of_curve
-        SHA-256 of the files that the joint names.
-    known
-        Answers that are kept from an earlier run, by number of the recording.
+    ``of_bench``, ``of_curve``: SHA-256 of the files that the joint names. ``known``: answers that
+    are kept from an earlier run, by number of the recording.
     """
 
     fleet: FleetConfig
@@ -192,10 +171,7 @@ class JointJob:
     def config(self, kind: str, numbers: Sequence[int], route: str | None = None) -> SnapshotConfig:
         """The configuration of a run over some of the recordings.
 
-        Raises
-        ------
-        ConfigError
-            In the words of that kind.
+        Raises ConfigError: in the words of that kind.
         """
         joint, model, settings = self.joint, KINDS[kind], self.settings
         estimator = settings["estimator"]
@@ -272,10 +248,7 @@ MeasuredJoint = tuple[tuple[RecordingAnswer, ...], JointAnswer]
 def measure_joint(job: JointJob) -> MeasuredJoint:
     """All recordings of a joint, those known taken over, and its wear; nothing is raised for one.
 
-    Raises
-    ------
-    OSError
-        If nothing can be written where fits are kept.
+    Raises OSError if nothing can be written where fits are kept.
     """
     numbers = range(len(job.recordings))
     answers = [job.known.get(number) or measure_recording(job, number) for number in numbers]
@@ -287,10 +260,7 @@ def measure_joint(job: JointJob) -> MeasuredJoint:
 def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
     """One recording by itself.
 
-    Raises
-    ------
-    OSError
-        If nothing can be written where fits are kept.
+    Raises OSError if nothing can be written where fits are kept.
     """
     before_it = _states(job, [number])
     try:

@@ -87,10 +87,8 @@ _Row = create_model("_Row", __base__=_Strict, **_COLUMNS)
 def decoded_answer(message: bytes) -> dict[str, Any]:
     """The row that a message holds, every column in it.
 
-    Raises
-    ------
-    ValueError
-        If it is no answer, or something in it cannot be, with a reason that may be printed.
+    Raises ValueError if it is no answer, or something in it cannot be, with a reason that may be
+    printed.
     """
     if len(message) > LARGEST_MESSAGE_BYTES:
         raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")

@@ -86,16 +86,9 @@ _LOG_JUMPS = 2.0 * float(np.log(SCATTER[1] / SCATTER[0]))
 class TypeRates:
     """What the joints of one type say of it.
 
-    Attributes
-    ----------
-    median_rad_per_year, spread
-        Draws of exp μ and of τ, shape (draw,).
-    law
-        Share of its joints by law, the mean of what is left open.
-    own
-        Draws of ε, the share of joints that wear in their own way, shape (draw,).
-    factors
-        What more of a covariate does, by its name.
+    ``median_rad_per_year``, ``spread``: draws of exp μ and of τ, shape (draw,). ``law``: share of
+    its joints by law, the mean of what is left open. ``own``: draws of ε, the share of joints that
+    wear in their own way, shape (draw,). ``factors``: what more of a covariate does, by its name.
     """
 
     joints: int
@@ -110,12 +103,8 @@ class TypeRates:
 class Factor:
     """By how much the rate is multiplied where a covariate is higher by its standard deviation.
 
-    Attributes
-    ----------
-    sd
-        Over the joints of the type, in the covariate's unit.
-    draws
-        Of the factor, shape (draw,).
+    ``sd``: over the joints of the type, in the covariate's unit. ``draws``: of the factor, shape
+    (draw,).
     """
 
     sd: float
@@ -126,13 +115,9 @@ class Factor:
 class Borrowed:
     """What its type says of one joint.
 
-    Attributes
-    ----------
-    chosen
-        Numbers of draws to take in place of its own, with repetition, shape (draw,); ``None`` where
-        the joint stays alone, as too few of its draws are near what its type says.
-    probability_own
-        That it wears in its own way.
+    ``chosen``: numbers of draws to take in place of its own, with repetition, shape (draw,);
+    ``None`` where the joint stays alone, as too few of its draws are near what its type says.
+    ``probability_own``: that it wears in its own way.
     """
 
     chosen: NDArray[np.int_] | None

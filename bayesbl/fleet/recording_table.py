@@ -36,10 +36,7 @@ _BESIDE = ".growing"
 class RecordingTable:
     """The rows in memory, by joint, date and file, and their file.
 
-    Attributes
-    ----------
-    beside
-        Hidden folder for what whoever writes the table must not forget. It is locked.
+    ``beside``: hidden folder for what whoever writes the table must not forget. It is locked.
     """
 
     path: Path
@@ -52,11 +49,8 @@ class RecordingTable:
     def opened(cls, output: Path) -> Iterator[RecordingTable]:
         """The table of an output folder, which is made, for one writer at a time.
 
-        Raises
-        ------
-        UserError
-            If the folder holds a fleet's result, which the next run of the fleet replaces; if what
-            is there is no such table, another writer has it, or pyarrow is missing.
+        Raises UserError if the folder holds a fleet's result, which the next run of the fleet
+        replaces; if what is there is no such table, another writer has it, or pyarrow is missing.
         """
         require_tables()
         require_no_link(output)
@@ -89,10 +83,7 @@ class RecordingTable:
     def save(self) -> None:
         """Have all rows on the disk.
 
-        Raises
-        ------
-        OSError
-            If they cannot be written: the file is then as it was.
+        Raises OSError if they cannot be written: the file is then as it was.
         """
         if self._changed:
             with replacing(self.path, durable=True) as temporary:

@@ -131,14 +131,8 @@ def other_benches(alone: Sequence[MatchedAlone], names: Sequence[str]) -> dict[i
     With z of the others N(μ, V), the mean of a recording's draws is normal with mean (1 − S) μ and
     covariance (1 − S) V (1 − S) + S − S²; compared in the directions that it has learnt.
 
-    Parameters
-    ----------
-    names
-        Of what is not known of the bench.
-
-    Returns
-    -------
-    Number of the recording to names, the largest difference first.
+    ``names``: of what is not known of the bench. Returns number of the recording to names, the
+    largest difference first.
     """
     if len(alone) < 2 or not names:
         return {}

@@ -28,12 +28,8 @@ def blocks(summary: StudySummary) -> Iterator[Block]:
 def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
     """One line a row, all values whole; what a row lacks stays empty.
 
-    Parameters
-    ----------
-    lines
-        The rows of the study, column to value.
-    columns
-        What is shown, in this order; the first one names the row.
+    ``lines``: the rows of the study, column to value. ``columns``: what is shown, in this order;
+    the first one names the row.
     """
     from bayesbl.runs.study import cell
 

@@ -144,10 +144,8 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
 
     A time of day that begins again is one of the next day.
 
-    Raises
-    ------
-    RecordingError
-        At the first text that is no date like the first one; ``place`` says where a row is.
+    Raises RecordingError at the first text that is no date like the first one; ``place`` says where
+    a row is.
     """
     time = array("d")
     days: dict[str, int] = {}
@@ -251,26 +249,13 @@ LONGEST_TEXT = 60
 class ArrayTable:
     """One-dimensional arrays by name.
 
-    Attributes
-    ----------
-    file
-        Path as the user gave it, for messages.
-    arrays
-        Name to values, shape (n,) each; n may differ between arrays that nobody asks for.
-    units
-        Units that the file itself states, by name.
-    clocks
-        Of columns that are sampled in groups, the column that holds their time in s, by name.
-    withheld
-        Why the values of a column are not read, by its name; its array is empty.
-    repairs
-        What was left out as the file was read, in words, and how many times.
-    lines
-        Of a text, the line that each row is in, from 1, shape (n,).
-    step_s
-        Time from row to row, where the file states it.
-    one_origin
-        Whether all clocks count from the same instant.
+    ``file``: path as the user gave it, for messages. ``arrays``: name to values, shape (n,) each; n
+    may differ between arrays that nobody asks for. ``units``: units that the file itself states, by
+    name. ``clocks``: of columns that are sampled in groups, the column that holds their time in s,
+    by name. ``withheld``: why the values of a column are not read, by its name; its array is empty.
+    ``repairs``: what was left out as the file was read, in words, and how many times. ``lines``: of
+    a text, the line that each row is in, from 1, shape (n,). ``step_s``: time from row to row,
+    where the file states it. ``one_origin``: whether all clocks count from the same instant.
     """
 
     file: str
@@ -333,10 +318,7 @@ class ArrayTable:
     def timestamps(self, column: str) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not hold dates.
 
-        Raises
-        ------
-        RecordingError
-            At the first value that is no date in a column of dates.
+        Raises RecordingError at the first value that is no date in a column of dates.
         """
         values = self._values(column)
         if values.dtype.kind == "M":
@@ -364,10 +346,7 @@ class ArrayTable:
     def numbers(self, columns: Sequence[str]) -> FloatArray:
         """Values of some columns, shape (n, len(columns)); missing ones are NaN.
 
-        Raises
-        ------
-        RecordingError
-            If the columns differ in length, or one does not hold real numbers.
+        Raises RecordingError if the columns differ in length, or one does not hold real numbers.
         """
         values: FloatArray = np.empty((self.samples_of(columns), len(columns)), order="F")
         for series, column in zip(values.T, columns, strict=True):
@@ -377,10 +356,7 @@ class ArrayTable:
     def samples_of(self, columns: Sequence[str]) -> int:
         """Number of samples that these columns have.
 
-        Raises
-        ------
-        RecordingError
-            If it is not the same for all.
+        Raises RecordingError if it is not the same for all.
         """
         lengths = {column: self._values(column).size for column in columns}
         if len(set(lengths.values())) > 1:
@@ -455,18 +431,10 @@ class ArrayTable:
 class Group:
     """Columns that were sampled together.
 
-    Attributes
-    ----------
-    name
-        What goes before the name of a column that other groups have too: a joint, a topic.
-    columns
-        Name to values, shape (n,).
-    time
-        The group's clock in s, shape (n,), or dates; ``None`` where a column must be named for it.
-    units
-        Units that the file states, by the column's name.
-    withheld
-        Why values of a column are not read, by the column's name.
+    ``name``: what goes before the name of a column that other groups have too: a joint, a topic.
+    ``columns``: name to values, shape (n,). ``time``: the group's clock in s, shape (n,), or dates;
+    ``None`` where a column must be named for it. ``units``: units that the file states, by the
+    column's name. ``withheld``: why values of a column are not read, by the column's name.
     """
 
     name: str

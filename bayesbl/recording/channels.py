@@ -40,14 +40,9 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
 class ColumnSpec:
     """The column of a file that holds a channel.
 
-    Attributes
-    ----------
-    name
-        The column's name in the file.
-    unit
-        The unit it comes in; ``None`` for the unit that the channel's name ends in.
-    reversed
-        Whether its sign is the other one: forwards is negative there.
+    ``name``: the column's name in the file. ``unit``: the unit it comes in; ``None`` for the unit
+    that the channel's name ends in. ``reversed``: whether its sign is the other one: forwards is
+    negative there.
     """
 
     name: str

@@ -75,10 +75,7 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     Rotations are counted only if the gear ratio is known; otherwise the fit, which finds the
     rotation period itself, asks :func:`require_rotations` with what it found.
 
-    Raises
-    ------
-    RecordingError
-        If anything that a fit needs is missing.
+    Raises RecordingError if anything that a fit needs is missing.
     """
     recording = with_speed(recording)
     require_channels(recording, [MOTOR_SPEED])
@@ -545,15 +542,8 @@ def is_one_speed(speed_rpm: FloatArray, period_s: float) -> bool:
 def require_same_motion(recording: Recording, asked_rpm: FloatArray) -> None:
     """The speed is that of its reference, in size and direction.
 
-    Parameters
-    ----------
-    asked_rpm
-        Reference speed, shape (n,).
-
-    Raises
-    ------
-    RecordingError
-        If not: another unit, the load's side of the gear, or another motion.
+    ``asked_rpm``: reference speed, shape (n,). Raises RecordingError if not: another unit, the
+    load's side of the gear, or another motion.
     """
     speed = recording.motor_speed_rpm
     ratio = float(speed @ asked_rpm) / float(asked_rpm @ asked_rpm)

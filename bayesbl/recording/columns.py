@@ -112,16 +112,10 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
 class StatedUnit:
     """What a file says of a column's unit.
 
-    Attributes
-    ----------
-    bare
-        The column's name without it.
-    unit
-        In this package's spelling; ``None`` where the file states none that is known.
-    unknown
-        What it states that is no unit here, or no size: a question to the user.
-    ending
-        The name's ending that states it (``n_rad_s``); empty where the file or brackets do.
+    ``bare``: the column's name without it. ``unit``: in this package's spelling; ``None`` where the
+    file states none that is known. ``unknown``: what it states that is no unit here, or no size: a
+    question to the user. ``ending``: the name's ending that states it (``n_rad_s``); empty where
+    the file or brackets do.
     """
 
     bare: str

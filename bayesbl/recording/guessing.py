@@ -300,11 +300,8 @@ class _Named:
 def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
 
-    Raises
-    ------
-    RecordingError
-        If no column can be time, or time or speed do not hold numbers; if there is no such joint,
-        or several and none was chosen.
+    Raises RecordingError if no column can be time, or time or speed do not hold numbers; if there
+    is no such joint, or several and none was chosen.
     """
     named = _of_joint(table, joint)
     chosen = _by_name(named)

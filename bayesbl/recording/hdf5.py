@@ -32,16 +32,9 @@ def require_whole(
 
     Of every dataset all values, or one chunk where that is larger: either is allocated whole.
 
-    Parameters
-    ----------
-    refusal
-        Makes the error for the first object that is not stored in the file itself, once, without
-        foreign filters; takes what a :class:`bayesbl.errors.UserError` takes.
-
-    Raises
-    ------
-    OSError, RuntimeError, ValueError
-        h5py's, for a damaged file.
+    ``refusal``: makes the error for the first object that is not stored in the file itself, once,
+    without foreign filters; takes what a :class:`bayesbl.errors.UserError` takes. Raises OSError,
+    RuntimeError, ValueError: h5py's, for a damaged file.
     """
     import h5py
 

@@ -25,13 +25,8 @@ PACKED = ".gz"
 def read_input(path: Path) -> bytes:
     """The bytes of a regular file; nothing else is read, as it may wait or have no end.
 
-    Raises
-    ------
-    OSError
-        If it cannot be read, with a ``strerror`` that says why: also what is no regular file, and
-        what is larger than the limit.
-    ValueError
-        If the path has a NUL.
+    Raises OSError if it cannot be read, with a ``strerror`` that says why: also what is no regular
+    file, and what is larger than the limit, and ValueError if the path has a NUL.
     """
     mode = os.stat(path).st_mode
     if not stat.S_ISREG(mode):  # not even opened: a socket cannot be, a pipe waits for its writer
@@ -53,10 +48,8 @@ def read_input(path: Path) -> bytes:
 def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> bytes:
     """The bytes of a file that a user names, as :func:`read_input` reads them.
 
-    Raises
-    ------
-    refusal
-        If there is no such file, or it cannot be read; ``expected`` says what it should be.
+    Raises refusal if there is no such file, or it cannot be read; ``expected`` says what it should
+    be.
     """
     try:
         return read_input(path)
@@ -70,17 +63,8 @@ def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> byt
 def require_memory(file: Path, size: float, what: str = "its content, unpacked") -> None:
     """Refuse a recording that would take more than the limit, before anything is allocated.
 
-    Parameters
-    ----------
-    size
-        In bytes, as far as the file declares it.
-    what
-        What takes them, for the message.
-
-    Raises
-    ------
-    RecordingError
-        If the size is above the limit.
+    ``size``: in bytes, as far as the file declares it. ``what``: what takes them, for the message.
+    Raises RecordingError if the size is above the limit.
     """
     if size > memory_bytes():
         raise beyond_memory(file, f"{size / 1e6:.5g} MB ({what})")
@@ -123,10 +107,7 @@ def stem_of(path: Path) -> str:
 def unpacked(path: Path, data: bytes) -> bytes:
     """The bytes of a file as they were before gzip, where its name says that it is packed.
 
-    Raises
-    ------
-    RecordingError
-        If it is damaged, or larger than the limit once unpacked.
+    Raises RecordingError if it is damaged, or larger than the limit once unpacked.
     """
     if path.suffix.lower() != PACKED:
         return data

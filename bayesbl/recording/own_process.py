@@ -51,11 +51,8 @@ _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL",
 def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable:
     """What ``format_.read`` makes of a file's bytes, in a process of its own.
 
-    Raises
-    ------
-    RecordingError
-        What the format raises; or if the process dies, takes longer than :data:`LONGEST_S`, or
-        more memory than the limit.
+    Raises RecordingError: what the format raises; or if the process dies, takes longer than
+    :data:`LONGEST_S`, or more memory than the limit.
     """
     request = {
         "path": [str(path) for path in sys.path],

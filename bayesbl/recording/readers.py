@@ -170,10 +170,7 @@ def read_recording(
 def read_table(path: str | Path) -> ArrayTable:
     """The columns of a file, before anything is mapped.
 
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read or is no table.
+    Raises RecordingError if the file cannot be read or is no table.
     """
     path = Path(path)
     return _parsed(path)[0]

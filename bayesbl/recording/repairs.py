@@ -159,18 +159,10 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
 
     Samples lost at either end are cut off, up to half of all: a sensor may wake up late.
 
-    Parameters
-    ----------
-    time_s
-        Shape (n,), strictly increasing.
-    values
-        Shape (n, c); NaN where a value is missing. No column is all NaN.
-
-    Raises
-    ------
-    RecordingError
-        If a run is longer than :data:`LONGEST_LOSS_S`, more than :data:`MOST_LOST` of all samples
-        are lost, or more than :data:`MOST_CUT` at the ends. The message says where.
+    ``time_s``: shape (n,), strictly increasing. ``values``: shape (n, c); NaN where a value is
+    missing. No column is all NaN. Raises RecordingError if a run is longer than
+    :data:`LONGEST_LOSS_S`, more than :data:`MOST_LOST` of all samples are lost, or more than
+    :data:`MOST_CUT` at the ends. The message says where.
     """
     whole = ~np.isnan(values).any(axis=1)
     kept = np.flatnonzero(whole)
@@ -338,17 +330,10 @@ def mended_clock(
     Counters that begin again are continued, exact repeats dropped, single rows sorted, and the
     samples of a coarse clock spread by the line that fits all of them.
 
-    Parameters
-    ----------
-    stamps, values
-        Shapes (n,), finite, and (n, c).
-    factor
-        Seconds in the unit of the stamps.
-    repairs
-        Gains what was done and how many times.
-    even
-        Whether samples are to be even in time. Then a single stamp that repeats the one before is
-        an error in the file; else its sample came before the next stamp, which is all that counts.
+    ``stamps``, ``values``: shapes (n,), finite, and (n, c). ``factor``: seconds in the unit of the
+    stamps. ``repairs``: gains what was done and how many times. ``even``: whether samples are to be
+    even in time. Then a single stamp that repeats the one before is an error in the file; else its
+    sample came before the next stamp, which is all that counts.
     """
     stamps = _continued(stamps, factor, repairs)
     order = _in_order(stamps, values, repairs)

@@ -51,14 +51,10 @@ LOWEST_BINS = 6
 class Repetition:
     """How a recording repeats.
 
-    Attributes
-    ----------
-    gain
-        χ² by which impacts agree better after this period than after the one stated. 0 where what
-        gains goes on all the time, as a line of the motor does, and where no impacts stand out of
-        the noise: gravity's wave alone tells the period to a few thousandths.
-    mean_rpm
-        Over whole periods, without sign, with its standard deviation.
+    ``gain``: χ² by which impacts agree better after this period than after the one stated. 0 where
+    what gains goes on all the time, as a line of the motor does, and where no impacts stand out of
+    the noise: gravity's wave alone tells the period to a few thousandths. ``mean_rpm``: over whole
+    periods, without sign, with its standard deviation.
     """
 
     period_s: float
@@ -79,12 +75,8 @@ def repetition(
 
     ``None`` where there are less than two, or nothing repeats that stands out of the noise.
 
-    Parameters
-    ----------
-    speed_rpm
-        Shape (n,), evenly sampled.
-    least_sd_rpm
-        Of what is not exact in each sample, whether it differs between rotations or not.
+    ``speed_rpm``: shape (n,), evenly sampled. ``least_sd_rpm``: of what is not exact in each
+    sample, whether it differs between rotations or not.
     """
     stated = stated_s * sampling_hz
     if speed_rpm.size - 1 < 2.0 * stated * (1.0 + WITHIN):

@@ -159,10 +159,8 @@ def _split(line: str, separator: str) -> list[str]:
 def _unit_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
     """The unit that a column's cells state.
 
-    Raises
-    ------
-    RecordingError
-        If they state several: a value is then another multiple of its unit than the one above it.
+    Raises RecordingError if they state several: a value is then another multiple of its unit than
+    the one above it.
     """
     cells = [row[column] for row in rows if column < len(row)]
     units = {parted(cell)[1] for cell in cells if is_value(cell)}
@@ -193,10 +191,7 @@ def layout_of(
     ``lines``: how many it has. ``fewest``: cells of numbers in a line of samples. ``mark``: the
     decimal mark, where it is known. ``is_binary``: whether it had characters that no text has.
 
-    Raises
-    ------
-    RecordingError
-        If these lines are no table of numbers.
+    Raises RecordingError if these lines are no table of numbers.
     """
     separator, width, values = _dialect(middle, separators, fewest)
     if width > max(MOST_COLUMNS, lines):
@@ -453,10 +448,8 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
 
     ``control``: characters that were left out before.
 
-    Raises
-    ------
-    RecordingError
-        If there is none, another header is among them, or too many lines are incomplete.
+    Raises RecordingError if there is none, another header is among them, or too many lines are
+    incomplete.
     """
     width = len(layout.names)
     parts: list[list[AnyArray]] = [[] for _ in range(width)]

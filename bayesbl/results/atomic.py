@@ -29,18 +29,10 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary file that is renamed to ``path`` when the block ends without exception.
 
-    Parameters
-    ----------
-    durable
-        Flush the file and its name to disk before the block ends, so that a power cut leaves it
-        whole.
-
-    Raises
-    ------
-    ResultError
-        If nothing can be written there, ``path`` is not a file, or another process writes it.
-    OSError
-        A system error in the block, such as a full disk, reported for ``path``.
+    ``durable``: flush the file and its name to disk before the block ends, so that a power cut
+    leaves it whole. Raises ResultError if nothing can be written there, ``path`` is not a file, or
+    another process writes it, and OSError: a system error in the block, such as a full disk,
+    reported for ``path``.
     """
     path = Path(path)
     require_replaceable(path)
@@ -65,10 +57,7 @@ def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
 def require_replaceable(path: Path) -> None:
     """Require a file or nothing at a path: as root, replacing could destroy a device.
 
-    Raises
-    ------
-    ResultError
-        If there is anything else.
+    Raises ResultError if there is anything else.
     """
     if os.path.lexists(path) and not path.is_file():
         raise ResultError(
@@ -82,11 +71,8 @@ def require_replaceable(path: Path) -> None:
 def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
     """Create and lock the hidden folder ``.<name><suffix>`` beside an output; keep it if not empty.
 
-    Raises
-    ------
-    ResultError
-        If another process holds the lock, no folder can be made there, or the folder there may
-        belong to somebody else.
+    Raises ResultError if another process holds the lock, no folder can be made there, or the folder
+    there may belong to somebody else.
     """
     folder = sibling(output, suffix)
     new_parents = [parent for parent in folder.parents if not parent.exists()]
@@ -111,12 +97,8 @@ def sibling(output: Path, suffix: str) -> Path:
 def make_own(folder: Path) -> None:
     """Make a folder for this user alone if there is none.
 
-    Raises
-    ------
-    ResultError
-        If the folder there may belong to somebody else.
-    OSError
-        If no folder can be made.
+    Raises ResultError if the folder there may belong to somebody else, and OSError if no folder can
+    be made.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):
@@ -130,12 +112,8 @@ def require_own(folder: Path) -> None:
     These are the owner of the parent folder, and those who may write to the parent unless it is
     sticky.
 
-    Raises
-    ------
-    FileNotFoundError
-        If nothing is there.
-    ResultError
-        If it is no folder, or others can write to it.
+    Raises FileNotFoundError if nothing is there, and ResultError if it is no folder, or others can
+    write to it.
     """
     status, above = os.lstat(folder), os.stat(folder.parent)
     exchange = 0 if above.st_mode & stat.S_ISVTX else above.st_mode

@@ -27,10 +27,7 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     systems that ignore it. Names of two outputs must differ by more than case everywhere, because
     results are copied between systems.
 
-    Raises
-    ------
-    ResultError
-        With the name of the output; also if no file can have its name.
+    Raises ResultError with the name of the output; also if no file can have its name.
     """
     for output in outputs:
         _require_possible(output)
@@ -56,10 +53,7 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
 def require_inside(folder: Path, name: str) -> Path:
     """Path of a file in a folder; only an absolute name may lead out of the folder.
 
-    Raises
-    ------
-    ResultError
-        If a relative name leads out of it.
+    Raises ResultError if a relative name leads out of it.
     """
     path = folder / name
     home, place = (os.path.realpath(p) for p in (folder, path.parent))
@@ -121,12 +115,9 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
 
     Checked before a long run, so that it does not fail at its end.
 
-    Raises
-    ------
-    ResultError
-        If it holds a finished result and ``force`` is not given, if it holds anything that is not
-        part of a result (which is never deleted), if it is a link or a mount point, or if there is
-        a file at this path or above it.
+    Raises ResultError if it holds a finished result and ``force`` is not given, if it holds
+    anything that is not part of a result (which is never deleted), if it is a link or a mount
+    point, or if there is a file at this path or above it.
     """
     path = Path(os.path.abspath(path))
     if path.name and os.path.lexists(sibling(path, STAGING) / _REPLACED):
@@ -162,10 +153,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
 def require_no_link(folder: Path) -> None:
     """Refuse a link in place of a folder: its target could be anybody's.
 
-    Raises
-    ------
-    ResultError
-        With the link and its target.
+    Raises ResultError with the link and its target.
     """
     if os.path.islink(folder):
         raise ResultError(
@@ -179,10 +167,7 @@ def require_no_link(folder: Path) -> None:
 def require_no_file(folder: Path) -> None:
     """Refuse a file in place of a folder or of a folder above it.
 
-    Raises
-    ------
-    ResultError
-        With the file.
+    Raises ResultError with the file.
     """
     for place in (folder, *folder.parents):
         if os.path.lexists(place) and not place.is_dir():
@@ -201,15 +186,8 @@ def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     ``path`` is untouched until then, and stays so if the block raises or the process is killed.
     With ``force``, an earlier result is deleted only after the new one has taken its place.
 
-    Yields
-    ------
-    The folder to write into.
-
-    Raises
-    ------
-    ResultError
-        As :func:`require_free`, on entering and again on leaving, as another run may have finished
-        first.
+    Yields the folder to write into. Raises ResultError as :func:`require_free`, on entering and
+    again on leaving, as another run may have finished first.
     """
     path = Path(os.path.abspath(path))
     require_free(path, force=force)

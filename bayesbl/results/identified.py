@@ -31,10 +31,7 @@ IDENTIFIED = Group(
 def require_gap(bench: Bench, file: str | Path) -> None:
     """Refuse a rigid bench.
 
-    Raises
-    ------
-    ConfigError
-        If the bench is rigid.
+    Raises ConfigError if the bench is rigid.
     """
     if bench.drive == "rigid":
         raise ConfigError(
@@ -49,10 +46,7 @@ def bench_from(path: str | Path) -> Bench:
     """Read a bench from a bench file, or from an identification's ``result.nc`` with its joint
     prior.
 
-    Raises
-    ------
-    UserError
-        If the file is neither, or the identification withheld its answer.
+    Raises UserError if the file is neither, or the identification withheld its answer.
     """
     if Path(path).suffix.lower() != ".nc" or not os.path.isfile(path):
         return load_bench(path)

@@ -67,10 +67,7 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     The root attributes gain the mark of our format, and the file ends in its seal. With the
     attribute :data:`OUTCOME` it counts as a finished result.
 
-    Raises
-    ------
-    OSError
-        If the disk is full, or the file cannot be written for another reason.
+    Raises OSError if the disk is full, or the file cannot be written for another reason.
     """
     marked = tree.copy()
     marked.attrs = {**tree.attrs, RESULT_MARK: FORMAT_VERSION}
@@ -112,16 +109,9 @@ def _write_netcdf(tree: xr.DataTree, path: Path) -> None:
 def read_tree(path: str | Path) -> xr.DataTree:
     """Read a tree into memory and close its file.
 
-    Parameters
-    ----------
-    path
-        A NetCDF file that :func:`write_tree` wrote, or the output folder that contains it.
-
-    Raises
-    ------
-    ResultError
-        If there is no such file, or it is damaged, changed, not ours, of another version, or
-        unfinished.
+    ``path``: a NetCDF file that :func:`write_tree` wrote, or the output folder that contains it.
+    Raises ResultError if there is no such file, or it is damaged, changed, not ours, of another
+    version, or unfinished.
     """
     path = Path(path)
     file = path / RESULT_FILE if os.path.isdir(path) else path

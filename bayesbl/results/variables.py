@@ -22,14 +22,8 @@ STACKED = "snapshot"
 class Variable:
     """Declaration of a stored variable or coordinate.
 
-    Attributes
-    ----------
-    unit
-        ``"1"`` for a pure number, ``"text"`` for a text.
-    meaning
-        Its long name.
-    optional
-        Whether a group may be stored without it.
+    ``unit``: ``"1"`` for a pure number, ``"text"`` for a text. ``meaning``: its long name.
+    ``optional``: whether a group may be stored without it.
     """
 
     name: str
@@ -43,15 +37,9 @@ class Variable:
 class Group:
     """Declaration of a group.
 
-    Attributes
-    ----------
-    variables
-        Variables with fixed names.
-    coordinates
-        Labels of its dimensions.
-    named
-        Function that declares a variable from a name that depends on the measurement; ``None`` for
-        a name that does not belong here.
+    ``variables``: variables with fixed names. ``coordinates``: labels of its dimensions. ``named``:
+    function that declares a variable from a name that depends on the measurement; ``None`` for a
+    name that does not belong here.
     """
 
     name: str
@@ -125,19 +113,10 @@ def dataset(group: Group, *sources: object) -> xr.Dataset:
 
     Numeric coordinates that no source provides count from 0.
 
-    Parameters
-    ----------
-    sources
-        Mappings from name to array, number or text, where ``None`` leaves an optional variable out;
-        objects, of which attributes with declared names are taken; or ``None``. Later sources
-        override earlier ones.
-
-    Raises
-    ------
-    KeyError
-        For a name that is not declared, or a declared one that is missing.
-    ValueError
-        If an array does not have the declared number of dimensions.
+    ``sources``: mappings from name to array, number or text, where ``None`` leaves an optional
+    variable out; objects, of which attributes with declared names are taken; or ``None``. Later
+    sources override earlier ones. Raises KeyError for a name that is not declared, or a declared
+    one that is missing, and ValueError if an array does not have the declared number of dimensions.
     """
     values: dict[str, object] = {}
     for source in sources:

@@ -49,10 +49,8 @@ _TEXT = "text"
 def encoded(value: object) -> bytes:
     """Encode a value as the bytes of an ``.npz``.
 
-    Raises
-    ------
-    TypeError
-        If the value contains anything but numbers, texts, arrays and containers of them.
+    Raises TypeError if the value contains anything but numbers, texts, arrays and containers of
+    them.
     """
     arrays: dict[str, Array] = {}
 
@@ -150,14 +148,9 @@ def code_identity() -> str:
 class WorkStore:
     """Finished work in one folder that only this user can write to.
 
-    Attributes
-    ----------
-    folder
-        ``None`` stores nothing: the run is made in one go.
-    fresh
-        Whether to compute and store anew even if work is stored.
-    code
-        Part of every address, so that results of other code are not recalled.
+    ``folder``: ``None`` stores nothing: the run is made in one go. ``fresh``: whether to compute
+    and store anew even if work is stored. ``code``: part of every address, so that results of other
+    code are not recalled.
     """
 
     folder: Path | None = None
@@ -169,10 +162,8 @@ class WorkStore:
     def beside(cls, output: Path, *, fresh: bool = False) -> Iterator[WorkStore]:
         """The store of an unfinished run beside its output, locked; ``fresh`` clears it.
 
-        Raises
-        ------
-        ResultError
-            If another run into the same output folder is in progress, or no folder can be made.
+        Raises ResultError if another run into the same output folder is in progress, or no folder
+        can be made.
         """
         with locked_sibling(output, _UNFINISHED) as folder:
             store = cls(folder)
@@ -199,14 +190,9 @@ class WorkStore:
     def get(self, what: str, inputs: object, make: Callable[[], T], kind: type[T]) -> T:
         """Recall finished work, or make and store it.
 
-        Parameters
-        ----------
-        what
-            Name of the work: the same inputs may determine several.
-        inputs
-            All that determines the numbers, as :func:`bayesbl.results.work.address` takes it.
-        kind
-            Type of the work, as :func:`bayesbl.results.work.decoder` takes it.
+        ``what``: name of the work: the same inputs may determine several. ``inputs``: all that
+        determines the numbers, as :func:`bayesbl.results.work.address` takes it. ``kind``: type of
+        the work, as :func:`bayesbl.results.work.decoder` takes it.
         """
         stored = None if self.fresh else self.recall(what, inputs, kind)
         if stored is not None:
@@ -231,12 +217,8 @@ class WorkStore:
     def keep(self, what: str, inputs: object, value: object) -> None:
         """Store finished work, whole or not at all.
 
-        Raises
-        ------
-        ResultError
-            If others can write to the folder, or it cannot be made.
-        OSError
-            If the file cannot be written, for example because the disk is full.
+        Raises ResultError if others can write to the folder, or it cannot be made, and OSError if
+        the file cannot be written, for example because the disk is full.
         """
         if self.folder is None:
             return

@@ -89,22 +89,10 @@ def run_jobs(
     One worker is a process of its own too: linear algebra on one thread rounds differently than on
     many, and the numbers must not depend on the workers.
 
-    Parameters
-    ----------
-    run
-        A function of a module, or a ``partial`` of one.
-    files
-        That every job reads, to be the same for all workers of a cluster.
-    what
-        The jobs, in a sentence.
-
-    Raises
-    ------
-    WorkerError
-        If a process dies.
-    ClusterError
-        If the scheduler does not answer or is lost, a worker differs, or a job kills all that
-        run it.
+    ``run``: a function of a module, or a ``partial`` of one. ``files``: that every job reads, to be
+    the same for all workers of a cluster. ``what``: the jobs, in a sentence. Raises WorkerError if
+    a process dies, and ClusterError if the scheduler does not answer or is lost, a worker differs,
+    or a job kills all that run it.
     """
     if where.scheduler is not None:
         yield from _on_cluster(run, jobs, files, where.scheduler, say, what)

@@ -52,18 +52,9 @@ def collect(
 ) -> None:
     """Store what the broker brings, until interrupted or, ``once``, until nothing more comes.
 
-    Parameters
-    ----------
-    tell
-        Called with each new row.
-
-    Raises
-    ------
-    UserError
-        If the output folder or the credentials cannot be used; once, also if the broker cannot be
-        reached, or does not let us in.
-    OSError
-        If nothing can be written: what was not stored is not acknowledged.
+    ``tell``: called with each new row. Raises UserError if the output folder or the credentials
+    cannot be used; once, also if the broker cannot be reached, or does not let us in, and OSError
+    if nothing can be written: what was not stored is not acknowledged.
     """
     with RecordingTable.opened(output) as table:
         name = stays_known_by(table.beside)

@@ -64,10 +64,7 @@ suit it (``UserError``)."""
 def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Diagnose as configured; nothing is written but finished work.
 
-    Raises
-    ------
-    UserError
-        If bench or recordings cannot be used for this comparison.
+    Raises UserError if bench or recordings cannot be used for this comparison.
     """
     task = task_of(config)
     diagnosis = work.get(
@@ -146,15 +143,8 @@ def guess_diagnosis(
 ) -> list[Choice]:
     """Method, channels, unknowns, and what each recording is for.
 
-    Parameters
-    ----------
-    given
-        A configuration that says some of it already; the rest follows from that.
-
-    Raises
-    ------
-    RecordingError
-        If no method suits these recordings and this bench.
+    ``given``: a configuration that says some of it already; the rest follows from that. Raises
+    RecordingError if no method suits these recordings and this bench.
     """
     compared = Compared() if given is None else given.comparison
     said = compared.model_fields_set | (given.unknowns.model_fields_set if given else set())
@@ -205,10 +195,7 @@ def toml(value: object) -> str:
 def _with_speed(recording: Recording) -> Recording:
     """The recording with the motor's speed, or that of its position.
 
-    Raises
-    ------
-    RecordingError
-        If there is neither speed nor position.
+    Raises RecordingError if there is neither speed nor position.
     """
     completed = with_speed(recording)
     if MOTOR_SPEED not in completed.channels:
@@ -382,17 +369,10 @@ def diagnosis_of(
 ) -> tuple[DiagnoseConfig, list[Choice]]:
     """The configuration that recordings and options make, and what of it was guessed.
 
-    Parameters
-    ----------
-    config
-        A configuration to start from: of a diagnosis, or of a measurement with its columns.
-    options
-        As :func:`bayesbl.config.loading.config_from_options` takes them, ``bench`` among them.
-
-    Raises
-    ------
-    UserError
-        If anything given cannot be used, or no method suits recordings and bench.
+    ``config``: a configuration to start from: of a diagnosis, or of a measurement with its columns.
+    ``options``: as :func:`bayesbl.config.loading.config_from_options` takes them, ``bench`` among
+    them. Raises UserError if anything given cannot be used, or no method suits recordings and
+    bench.
     """
     made = cast(DiagnoseConfig, config_from_options("diagnose", recordings, config, (), **options))
     read = [

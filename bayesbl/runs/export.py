@@ -39,27 +39,11 @@ def export(
     The model has the medians. The table has a row for each draw: gap and bench parameters, those
     that the recordings told as they were drawn together, the others as the bench has them.
 
-    Parameters
-    ----------
-    result
-        Of a fit or a comparison.
-    bench
-        The bench that it was measured with; ``None`` for that of the stored configuration.
-    folder
-        ``None`` for one beside the result's, ``RESULT_export``.
-    force
-        Replace files that exist.
-
-    Returns
-    -------
-    The files written.
-
-    Raises
-    ------
-    ResultError
-        If the result has no gap, is of another bench, or a file exists.
-    ConfigError
-        If the bench cannot be used.
+    ``result``: of a fit or a comparison. ``bench``: the bench that it was measured with; ``None``
+    for that of the stored configuration. ``folder``: ``None`` for one beside the result's,
+    ``RESULT_export``. ``force``: replace files that exist. Returns the files written. Raises
+    ResultError if the result has no gap, is of another bench, or a file exists, and ConfigError if
+    the bench cannot be used.
     """
     tree = read_result(result)
     if bench is None:

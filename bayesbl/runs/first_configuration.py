@@ -25,10 +25,7 @@ from bayesbl.results.store import write_text
 def require_new(path: Path, what: str, force: bool) -> None:
     """A file to be written has a name of its own, and is not there yet or may be replaced.
 
-    Raises
-    ------
-    ConfigError
-        If not; ``what`` says what was to be written.
+    Raises ConfigError if not; ``what`` says what was to be written.
     """
     if suffix_of(path) in FORMATS:
         raise ConfigError(
@@ -53,22 +50,10 @@ def start_config(
 ) -> tuple[Path, Guess]:
     """Write a commented configuration: ``fit`` of one recording, ``compare`` of several.
 
-    Parameters
-    ----------
-    recordings
-        Files with the same columns; the first one is looked at.
-    out
-        The file to write; named after the first recording, in the working directory, by default.
-    joint
-        Which one, where a file holds several.
-    force
-        Write over an existing file.
-
-    Raises
-    ------
-    UserError
-        If a recording cannot be read, the first holds no time, or the file is there or is a
-        recording.
+    ``recordings``: files with the same columns; the first one is looked at. ``out``: the file to
+    write; named after the first recording, in the working directory, by default. ``joint``: which
+    one, where a file holds several. ``force``: write over an existing file. Raises UserError if a
+    recording cannot be read, the first holds no time, or the file is there or is a recording.
     """
     first = Path(recordings[0])
     path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
@@ -133,10 +118,7 @@ def _beside(name: str) -> str:
 def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> Path:
     """Write the commented bench file; the path.
 
-    Raises
-    ------
-    UserError
-        If the file is there and ``force`` is not given, or cannot be written.
+    Raises UserError if the file is there and ``force`` is not given, or cannot be written.
     """
     path = Path(out) if out is not None else Path(FIRST_BENCH)
     require_new(path, "bench file", force)

@@ -114,10 +114,8 @@ def _counted(config: FleetConfig) -> str:
 def run(config: FleetConfig, options: Options) -> FleetSummary:
     """Measure what is new, and write the output folder anew.
 
-    Raises
-    ------
-    UserError
-        If the inventory cannot be used, or the folder holds anything but a fleet's result.
+    Raises UserError if the inventory cannot be used, or the folder holds anything but a fleet's
+    result.
     """
     output = config.run.output
     _require_own(output, options.force)

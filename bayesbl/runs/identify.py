@@ -28,10 +28,7 @@ from bayesbl.sampling.chains import SamplerSettings
 def make(config: IdentifyConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Identify as configured; nothing is written but finished work.
 
-    Raises
-    ------
-    UserError
-        If data sheet or recordings cannot be used.
+    Raises UserError if data sheet or recordings cannot be used.
     """
     problem, notes = problem_of(config)
     level, seed = config.interval.level, np.random.SeedSequence(config.run.seed)
@@ -64,10 +61,7 @@ def describe(config: IdentifyConfig, plan: Plan) -> None:
 def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
     """Bench and recordings, read and fit to be compared, with what is assumed of them.
 
-    Raises
-    ------
-    UserError
-        If they cannot be used.
+    Raises UserError if they cannot be used.
     """
     bench = load_bench(config.bench)
     require_gap(bench, config.bench)

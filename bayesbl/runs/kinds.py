@@ -62,10 +62,7 @@ folder that is added to and gives the summary.
 def load_run(path: str | Path, *, kind: str | None = None, **options: object) -> RunConfig:
     """A configuration file with the options of the command line over it; ``None`` is not given.
 
-    Raises
-    ------
-    ConfigError
-        As :func:`bayesbl.config.loading.load_config`.
+    Raises ConfigError as :func:`bayesbl.config.loading.load_config`.
     """
     config = load_config(path, kind=kind)
     given: dict[str, Any] = {o: value for o, value in options.items() if value is not None}
@@ -86,15 +83,8 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
 
     What an unfinished run has of the same problem is not made again.
 
-    Parameters
-    ----------
-    file
-        Where the configuration comes from, if from a file.
-
-    Raises
-    ------
-    UserError
-        If the folder may not be written, or anything in the configuration cannot be used.
+    ``file``: where the configuration comes from, if from a file. Raises UserError if the folder may
+    not be written, or anything in the configuration cannot be used.
     """
     _require_output_apart(config, file)
     plan = Plan(file)
@@ -129,10 +119,7 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
 def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> xr.DataTree:
     """What a run of this configuration would store; no output folder is written.
 
-    Raises
-    ------
-    UserError
-        If anything in the configuration cannot be used.
+    Raises UserError if anything in the configuration cannot be used.
     """
     made: xr.DataTree = _workflow(config.kind).make(
         config, Options(progress=progress), NOTHING_KEPT
@@ -143,10 +130,8 @@ def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> x
 def check(path: str | Path) -> Plan:
     """Everything that can be checked of a configuration without running it.
 
-    Raises
-    ------
-    ConfigError
-        If the file itself cannot be read or is not valid; what is wrong beyond it is in the plan.
+    Raises ConfigError if the file itself cannot be read or is not valid; what is wrong beyond it is
+    in the plan.
     """
     kind = kind_of(path)
     plan = Plan(path, [("kind", kind)], is_check=True)
@@ -197,10 +182,7 @@ def summarise(tree: Tree) -> Summary:
 def read_result(path: str | Path) -> xr.DataTree:
     """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree` does.
 
-    Raises
-    ------
-    ResultError
-        Also if it is of no known kind.
+    Raises ResultError: also if it is of no known kind.
     """
     from bayesbl.results.store import read_tree
 

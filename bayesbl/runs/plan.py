@@ -73,10 +73,7 @@ def describe(config: PlanConfig, plan: Plan) -> None:
 def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Rank motions; it takes no time worth keeping.
 
-    Raises
-    ------
-    UserError
-        If the bench file cannot be used, or its drive can follow none of the motions.
+    Raises UserError if the bench file cannot be used, or its drive can follow none of the motions.
     """
     limits, bench = config.limits, bench_from(config.bench)
     require_gap(bench, config.bench)

@@ -43,30 +43,13 @@ def run_simulate(
 ) -> list[Path]:
     """Simulate every recording of a simulate file and write it as CSV.
 
-    Parameters
-    ----------
-    config_path
-        The simulate file.
-    out
-        Folder of the recordings; ``[run] output`` if ``None``, else the configuration's own
-        folder.
-    seed, workers
-        Instead of those in ``[run]``. The numbers do not depend on the workers.
-    force
-        Replace files that exist.
-
-    Returns
-    -------
-    The files written, the recordings in the order of the configuration, then the truth if asked
-    for.
-
-    Raises
-    ------
-    ConfigError
-        If the simulate file or its bench file is wrong.
-    ResultError
-        If a file exists and ``force`` is not given, is an input, or lies outside the folder by a
-        relative path.
+    ``config_path``: the simulate file. ``out``: folder of the recordings; ``[run] output`` if
+    ``None``, else the configuration's own folder. ``seed``, ``workers``: instead of those in
+    ``[run]``. The numbers do not depend on the workers. ``force``: replace files that exist.
+    Returns the files written, the recordings in the order of the configuration, then the truth if
+    asked for. Raises ConfigError if the simulate file or its bench file is wrong, and ResultError
+    if a file exists and ``force`` is not given, is an input, or lies outside the folder by a
+    relative path.
     """
     config_path = Path(config_path)
     config = load_file(Path(config_path), SimulateFile)
@@ -205,10 +188,7 @@ def _of_entry(config_path: Path, number: int) -> Iterator[None]:
 def refuse_existing(targets: Sequence[Path], force: bool) -> None:
     """None of these files is there, or may be replaced.
 
-    Raises
-    ------
-    ResultError
-        Naming the file.
+    Raises ResultError, naming the file.
     """
     for target in targets:
         if target.exists() and not force:
@@ -254,10 +234,7 @@ def _truth(
 def write_all(targets: Sequence[Path], contents: Sequence[str]) -> None:
     """None before all are written: a run that is killed leaves no half-written file.
 
-    Raises
-    ------
-    ResultError
-        If one cannot be written.
+    Raises ResultError if one cannot be written.
     """
     try:
         with ExitStack() as stack:

@@ -105,10 +105,7 @@ class Study:
     def row(self, table: Table) -> Any:
         """A row as the study's functions take it.
 
-        Raises
-        ------
-        ConfigError
-            With everything that the study's ``Row`` finds wrong.
+        Raises ConfigError with everything that the study's ``Row`` finds wrong.
         """
         model: type[BaseModel] | None = getattr(self.module, "Row", None)
         if model is None:
@@ -167,10 +164,8 @@ class Study:
 def load_study(path: str | Path) -> Study:
     """Load a study file.
 
-    Raises
-    ------
-    ConfigError
-        If it cannot be imported, whatever it does instead, or lacks one of the three functions.
+    Raises ConfigError if it cannot be imported, whatever it does instead, or lacks one of the three
+    functions.
     """
     path = Path(path)
     # Registered under a name of its own: pydantic and pickle look modules up there.
@@ -238,12 +233,8 @@ def _line_of(error: BaseException, path: Path) -> str | None:
 class Case:
     """One finished case.
 
-    Attributes
-    ----------
-    values
-        What the study returned; empty if the case failed.
-    message
-        Why it failed; empty if it did not.
+    ``values``: what the study returned; empty if the case failed. ``message``: why it failed; empty
+    if it did not.
     """
 
     index: int
@@ -323,10 +314,7 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
 
     Cases that an unfinished run has are taken over if their row is defined as it was.
 
-    Raises
-    ------
-    UserError
-        If the study, a row or the output folder cannot be used.
+    Raises UserError if the study, a row or the output folder cannot be used.
     """
     study, rows = prepare(config)
     with work_of(config, options) as work:
@@ -353,10 +341,7 @@ def describe(config: StudyConfig, plan: Plan) -> None:
 def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
     """The study with its rows, all of them validated.
 
-    Raises
-    ------
-    ConfigError
-        If the study file cannot be loaded, or refuses a row.
+    Raises ConfigError if the study file cannot be loaded, or refuses a row.
     """
     study = load_study(config.study)
     return study, [

@@ -124,10 +124,8 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     Rows that the same code made of the same problem are taken from where those of curves made on
     demand are kept, in place of ``work``, unless ``options.force`` asks for new ones.
 
-    Raises
-    ------
-    UserError
-        If the bench file cannot be used, a simulation fails, or the curve is not monotone.
+    Raises UserError if the bench file cannot be used, a simulation fails, or the curve is not
+    monotone.
     """
     bench = bench_from(config.bench)
     require_flank_change(bench)

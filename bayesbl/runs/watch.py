@@ -59,10 +59,7 @@ LAST_SENT_WAIT_S = 30.0
 class Watched:
     """What to watch, and how.
 
-    Attributes
-    ----------
-    once
-        End when everything that is there is measured, and sent.
+    ``once``: end when everything that is there is measured, and sent.
     """
 
     folder: Path
@@ -81,17 +78,9 @@ def watch(
 ) -> None:
     """Measure what appears, until interrupted or, ``once``, until nothing is left.
 
-    Parameters
-    ----------
-    tell
-        Called with each new row.
-
-    Raises
-    ------
-    UserError
-        If configuration, inventory, output folder or credentials cannot be used.
-    OSError
-        If nothing can be written: what was measured so far is safe.
+    ``tell``: called with each new row. Raises UserError if configuration, inventory, output folder
+    or credentials cannot be used, and OSError if nothing can be written: what was measured so far
+    is safe.
     """
     config = _with_folder(config, asked.folder)
     joints = {joint.name: joint for joint in read_joints(config.fleet)}

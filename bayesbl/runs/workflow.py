@@ -46,14 +46,9 @@ LONGEST_S = 7 * 24 * 3600.0
 class Options:
     """How a run is to be made, whatever its kind.
 
-    Attributes
-    ----------
-    force
-        Replace a finished result; start over where a run was left unfinished.
-    say
-        Called with sentences for the user.
-    recordings
-        Of a fit or a comparison, as they were read to be described.
+    ``force``: replace a finished result; start over where a run was left unfinished. ``say``:
+    called with sentences for the user. ``recordings``: of a fit or a comparison, as they were read
+    to be described.
     """
 
     draw: Draw = lambda tree, folder, formats: None
@@ -98,10 +93,8 @@ class Plan:
 def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
     """The finished work of an unfinished run of a configuration.
 
-    Raises
-    ------
-    ResultError
-        If the output folder holds a finished result that is not given up, or may not be written.
+    Raises ResultError if the output folder holds a finished result that is not given up, or may not
+    be written.
     """
     output = config.run.output
     # A run may have been killed when its result was there, and its work not yet forgotten.
@@ -113,10 +106,7 @@ def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
 def require_output(folder: Path) -> str:
     """A result can be written into this folder; one that is there already is no fault of it.
 
-    Raises
-    ------
-    ResultError
-        If something else is there, or no folder can be made where it would be.
+    Raises ResultError if something else is there, or no folder can be made where it would be.
     """
     require_free(folder, force=True)
     require_writable(folder.absolute().parent)
@@ -126,10 +116,7 @@ def require_output(folder: Path) -> str:
 def require_writable(folder: Path) -> None:
     """A folder can be made here, or in the nearest folder above that exists.
 
-    Raises
-    ------
-    ResultError
-        If not.
+    Raises ResultError if not.
     """
     require_no_file(folder)
     existing = next(place for place in (folder, *folder.parents) if os.path.isdir(place))
@@ -143,10 +130,7 @@ def require_writable(folder: Path) -> None:
 def require_affordable(what: str, expected: str, memory_bytes: float, seconds: float) -> None:
     """A run fits into the memory of this machine, and ends.
 
-    Raises
-    ------
-    ConfigError
-        With both estimates.
+    Raises ConfigError with both estimates.
     """
     largest = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     if memory_bytes <= largest and seconds <= LONGEST_S:
@@ -179,10 +163,7 @@ def write_result(
     stored with the figures drawn so far, and the failure raised only then, with a note that says
     so.
 
-    Parameters
-    ----------
-    texts
-        Further files by name; empty ones are not written.
+    ``texts``: further files by name; empty ones are not written.
     """
     from bayesbl.results.store import write_json, write_text, write_tree
 

@@ -89,16 +89,9 @@ def whole(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
 class StoredFigure:
     """A figure, called like the function that draws it.
 
-    Attributes
-    ----------
-    name
-        Of its files, or the beginning of their names.
-    caption
-        A sentence.
-    order
-        Its place among the figures of a page, smallest first.
-    applies
-        Whether a result holds what it shows, by groups and variables alone.
+    ``name``: of its files, or the beginning of their names. ``caption``: a sentence. ``order``: its
+    place among the figures of a page, smallest first. ``applies``: whether a result holds what it
+    shows, by groups and variables alone.
     """
 
     name: str

@@ -222,9 +222,7 @@ def envelope(
 
     Neighbouring stretches share a sample, so that the outline has no gaps. NaN is ignored.
 
-    Returns
-    -------
-    Middle time, minimum and maximum of each stretch, each of shape (m,).
+    Returns middle time, minimum and maximum of each stretch, each of shape (m,).
     """
     edges = np.unique(np.linspace(0, values.size - 1, min(bins, values.size) + 1).round())
     starts = edges[:-1].astype(int)

@@ -87,9 +87,7 @@ def _values(tree: xr.DataTree, path: str) -> FloatArray:
 def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Relative bounds of δ by each stored source alone, at the level of the curve's band.
 
-    Returns
-    -------
-    Source to lower and upper bound at the knots, each (g,), in percent of the curve.
+    Returns source to lower and upper bound at the knots, each (g,), in percent of the curve.
     """
     stored = tree["curve"].to_dataset()
     level = float(stored.attrs["level"])

@@ -26,23 +26,14 @@ RESULT_MARK = "bayesbl_format"
 class Format:
     """A kind of file that holds a recording.
 
-    Attributes
-    ----------
-    name
-        What the help calls it.
-    suffixes
-        Of its files, in small letters with the dot.
-    module
-        Whose function ``read`` makes named columns of path and bytes. Called in a process of its
-        own, but for text; what it raises there is told as a damaged file.
-    library
-        The optional library that it reads with, as it is imported; empty where there is none.
-    signatures
-        What its files have at which byte, any of them; a file without is not parsed, and nothing
-        of it is quoted. Empty for text.
-    beside
-        Where a file that belongs to it may be, seen from its folder, with ``*`` for any name: the
-        first one's bytes come with the file's own (:func:`~..input_bytes.of_two`).
+    ``name``: what the help calls it. ``suffixes``: of its files, in small letters with the dot.
+    ``module``: whose function ``read`` makes named columns of path and bytes. Called in a process
+    of its own, but for text; what it raises there is told as a damaged file. ``library``: the
+    optional library that it reads with, as it is imported; empty where there is none.
+    ``signatures``: what its files have at which byte, any of them; a file without is not parsed,
+    and nothing of it is quoted. Empty for text. ``beside``: where a file that belongs to it may be,
+    seen from its folder, with ``*`` for any name: the first one's bytes come with the file's own
+    (:func:`~..input_bytes.of_two`).
     """
 
     name: str

@@ -32,10 +32,8 @@ _NUMERIC = frozenset(
 def read(file: Path, data: bytes) -> ArrayTable:
     """Numeric vectors, columns of matrices and fields of structures.
 
-    Raises
-    ------
-    RecordingError
-        If it is no MATLAB file, holds no vector, or is v7.3 and shows what it does not hold itself.
+    Raises RecordingError if it is no MATLAB file, holds no vector, or is v7.3 and shows what it
+    does not hold itself.
     """
 
     units: dict[str, str] = {}
@@ -121,10 +119,7 @@ def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str,
 def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     """Variables and coordinates with one dimension; calendar times decoded, units kept.
 
-    Raises
-    ------
-    RecordingError
-        If it is no NetCDF file, not all in itself, or one of our own results.
+    Raises RecordingError if it is no NetCDF file, not all in itself, or one of our own results.
     """
     import netCDF4
     import xarray as xr

@@ -31,10 +31,8 @@ _VECTOR_FRAME = re.compile(r"(?im)^\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s
 def read(file: Path, data: bytes) -> ArrayTable:
     """Each message's signals in physical units, with the units that the DBC file states.
 
-    Raises
-    ------
-    RecordingError
-        If there is no DBC file, or no frame with a time is of one of its messages.
+    Raises RecordingError if there is no DBC file, or no frame with a time is of one of its
+    messages.
     """
     log, dbc = two_of(data)
     database = cantools.database.Database()

@@ -56,11 +56,8 @@ _LONGEST_LINE = 4_000_000
 def read(file: Path, data: bytes) -> ArrayTable:
     """Find the table in a text, or read an export of TwinCAT Scope or a log of events.
 
-    Raises
-    ------
-    RecordingError
-        If it is not text, or holds no table or no sample. Nothing of it is quoted before its lines
-        have proved to be numbers.
+    Raises RecordingError if it is not text, or holds no table or no sample. Nothing of it is quoted
+    before its lines have proved to be numbers.
     """
     for begin in range(0, len(data), _LONGEST_LINE):
         part = data[begin : begin + _LONGEST_LINE]
@@ -142,10 +139,7 @@ def _is_scope_export(text: str) -> bool:
 def _read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
     """All channels; a unit only where no scale leaves open what it belongs to.
 
-    Raises
-    ------
-    RecordingError
-        If its channels have no times, or there is text among these.
+    Raises RecordingError if its channels have no times, or there is text among these.
     """
 
     separator = lines[0][4]
@@ -198,10 +192,7 @@ _DIADEM_CHANNEL = b"#BEGINCHANNELHEADER"
 def read_diadem(file: Path, data: bytes) -> ArrayTable:
     """Channels of a header and the samples of the file beside it.
 
-    Raises
-    ------
-    RecordingError
-        If the samples are missing, or fewer than the header says.
+    Raises RecordingError if the samples are missing, or fewer than the header says.
     """
     header, samples = two_of(data)
     if _DIADEM_CHANNEL not in header:

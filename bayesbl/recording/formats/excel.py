@@ -34,10 +34,7 @@ _HEAD, _MIDDLE = 400, 200
 def read(file: Path, data: bytes) -> ArrayTable:
     """Columns of all sheets, ``SHEET/NAME`` where two sheets have one of the same name.
 
-    Raises
-    ------
-    RecordingError
-        If it is no workbook, or unpacks to more than the limit of memory allows.
+    Raises RecordingError if it is no workbook, or unpacks to more than the limit of memory allows.
     """
     _check_size(file, data)
     book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)

@@ -28,10 +28,7 @@ _DEEPEST = 6
 def read(file: Path, data: bytes) -> ArrayTable:
     """The longest table in the file.
 
-    Raises
-    ------
-    RecordingError
-        If it is no JSON, or holds no list of numbers.
+    Raises RecordingError if it is no JSON, or holds no list of numbers.
     """
 
     text = data.decode("utf-8-sig")
