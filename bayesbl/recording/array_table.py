@@ -1,11 +1,11 @@
-"""A table: columns by name, and what a cell of text in one says.
+"""A table of named columns, and the meaning of a text cell.
 
-A cell is a number, with how its decimals are marked and a unit behind it, or a date. Of dates and
-clock times only differences count, as seconds since the first, so that it need not be known whether
-03/04/2026 is in March or in April: a date that differs from the one before it is the next day.
+A cell holds a number (with a decimal mark, and possibly a unit) or a date. Only differences between
+dates and clock times count, as seconds since the first one. So the order of day and month in
+03/04/2026 need not be known: a date that differs from the one before it is the next day.
 
-Files that hold arrays (NetCDF, MATLAB, Parquet, …) are such tables; in some, columns are sampled in
-groups, each by its own clock (bags, MDF, TDMS, Scope).
+Files of arrays (NetCDF, MATLAB, Parquet, …) are such tables. In some formats (bags, MDF, TDMS,
+Scope), columns are sampled in groups, each with its own clock.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _GROUPED = {
     for mark, other in ((".", ","), (",", "."))
 }
 _WITH_UNIT = re.compile(r"([+\-−]?\d[^\sA-Za-z]*(?:[eE][+-]?\d+)?)\s?([^\d\s.,:+\-/].*)")
-"""As exports write durations and formatted values: ``0.001 sec``, ``1500.2 rpm``."""
+"""A number with its unit, as exports write it: ``0.001 sec``, ``1500.2 rpm``."""
 
 
 def number_in(cell: str, mark: str) -> float | None:
-    """The number that a cell holds, NaN for a missing one; ``None`` if it is text."""
+    """The number in a cell, NaN for a missing value, ``None`` for text."""
     text = cell.replace("−", "-")
     if mark == "," and "," in text:
         if _PLAIN[","].fullmatch(text):
@@ -62,13 +62,13 @@ def number_in(cell: str, mark: str) -> float | None:
 
 
 def parted(cell: str) -> tuple[str, str]:
-    """A cell's number and the unit behind it; the cell where there is none that is known."""
+    """Number and unit of a cell; the whole cell and no unit if the unit is unknown."""
     held = _WITH_UNIT.fullmatch(cell)
     return (held[1], held[2]) if held and is_unit(spelled(held[2])) else (cell, "")
 
 
 def is_number(cell: str) -> bool:
-    """Whether it may be a number with either mark, bare or before its unit; never if missing."""
+    """Whether a cell holds a number with either decimal mark, with or without a unit."""
     return is_bare_number(parted(cell)[0])
 
 
@@ -80,12 +80,12 @@ def is_bare_number(cell: str) -> bool:
 
 
 def is_value(cell: str) -> bool:
-    """Whether it is a number or a date."""
+    """Whether a cell holds a number or a date."""
     return is_date(cell) or is_number(cell)
 
 
 def decimal_mark(file: Path, cells: Sequence[str]) -> str:
-    """Whether numbers have a decimal comma or a decimal point, by all of them together."""
+    """The decimal mark (comma or point) that fits most numbers."""
     cells = [number for cell in cells if is_bare_number(number := parted(cell)[0])]
     if not any("," in cell for cell in cells):
         return "."
@@ -109,7 +109,7 @@ _STAMP = re.compile(
     r"\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
 )
 _COMPACT = re.compile(r"(\d{4})([-_.]?)(\d\d)\2(\d\d)[T_](\d\d)([-:]?)(\d\d)\6(\d\d)(?!\d)")
-"""As names of files and ISO's basic form have it: ``20261130T083000``, ``2026-11-30_08-30-00``."""
+"""Dates of file names and ISO's basic format: ``20261130T083000``, ``2026-11-30_08-30-00``."""
 
 _DAY_S = 86400
 _MILLISECONDS = re.compile(r"(?:^|[\W_])(?:ms|msecs?|milli[a-z]*)$", re.IGNORECASE)
@@ -123,7 +123,7 @@ _NAMED_MONTH = re.compile(
 
 
 def _stamp(text: str) -> re.Match[str] | None:
-    """A date or time of day; a month may have a name: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
+    """Match a date or time of day; months may have names: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
     text = _COMPACT.sub(r"\1-\3-\4T\5:\7:\8", text)
     named = _NAMED_MONTH.match(text)
     if named and bool(named[1]) != bool(named[3]):
@@ -135,17 +135,15 @@ def _stamp(text: str) -> re.Match[str] | None:
 
 
 def is_date(text: str) -> bool:
-    """Whether the text is a date or a time of day, and not a number (20260301)."""
+    """Whether a text is a date or a time of day, rather than a number such as 20260301."""
     return any(mark in text for mark in ":T_") and _stamp(text.strip()) is not None
 
 
 def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str]) -> FloatArray:
-    """Seconds since the first date, shape (n,); empty texts are NaN.
+    """Seconds since the first date, shape (n,); NaN for empty texts.
 
-    A time of day that begins again is one of the next day.
-
-    Raises RecordingError at the first text that is no date like the first one; ``place`` says where
-    a row is.
+    A time of day that starts again belongs to the next day. ``place`` gives the place of a row.
+    Raises RecordingError at the first text that is not a date of the same form as the first.
     """
     time = array("d")
     days: dict[str, int] = {}
@@ -184,9 +182,9 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
 def _of_stamp(
     stamp: re.Match[str], days: dict[str, int]
 ) -> tuple[int, float, tuple[bool, bool]] | None:
-    """Whole seconds, their fraction, and whether there are a date and a zone.
+    """Whole seconds, fraction of a second, and whether the stamp has a date and a time zone.
 
-    ``days`` numbers the dates whose order of day and month is open, as they come.
+    ``days`` numbers ambiguous dates in the order in which they occur.
     """
     a, mark, b, c, hours, minutes, seconds, digits, half, zone = stamp.groups()
     hour, minute, second = int(hours), int(minutes), int(seconds or 0)
@@ -214,7 +212,7 @@ def _of_stamp(
 
 
 def _ordinal(a: str, mark: str, b: str, c: str) -> int | None:
-    """Day number of a date; 0 where the order of day and month is open, ``None`` if it is none."""
+    """Day number of a date; 0 if day and month may be exchanged, ``None`` if it is no date."""
     try:
         if len(a) == 4:
             return date(int(a), int(b), int(c)).toordinal()
@@ -229,7 +227,7 @@ def _ordinal(a: str, mark: str, b: str, c: str) -> int | None:
 
 
 def seconds_of_calendar(times: NDArray[np.datetime64]) -> FloatArray:
-    """Seconds since the first instant, shape (n,); NaT is NaN."""
+    """Seconds since the first instant, shape (n,); NaN for NaT."""
     known = ~np.isnat(times)
     seconds = np.full(times.shape, np.nan)
     if known.any():
@@ -242,31 +240,22 @@ def seconds_of_calendar(times: NDArray[np.datetime64]) -> FloatArray:
 AnyArray = NDArray[Any]
 
 LONGEST_TEXT = 60
-"""Of a cell: dates are shorter, and messages quote less."""
+"""Letters kept of a text cell: dates are shorter, and messages quote less."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayTable:
-    """One-dimensional arrays by name.
+    """One-dimensional arrays by name."""
 
-    ``file``: path as the user gave it, for messages. ``arrays``: name to values, shape (n,) each; n
-    may differ between arrays that nobody asks for. ``units``: units that the file itself states, by
-    name. ``clocks``: of columns that are sampled in groups, the column that holds their time in s,
-    by name. ``withheld``: why the values of a column are not read, by its name; its array is empty.
-    ``repairs``: what was left out as the file was read, in words, and how many times. ``lines``: of
-    a text, the line that each row is in, from 1, shape (n,). ``step_s``: time from row to row,
-    where the file states it. ``one_origin``: whether all clocks count from the same instant.
-    """
-
-    file: str
-    arrays: Mapping[str, AnyArray]
-    units: Mapping[str, str] = field(default_factory=dict)
-    clocks: Mapping[str, str] = field(default_factory=dict)
-    withheld: Mapping[str, str] = field(default_factory=dict)
-    repairs: Mapping[str, int] = field(default_factory=dict)
-    lines: NDArray[np.int64] | None = None
-    step_s: float | None = None
-    one_origin: bool = False
+    file: str  # path as the user gave it, for messages
+    arrays: Mapping[str, AnyArray]  # shape (n,) each; n may differ
+    units: Mapping[str, str] = field(default_factory=dict)  # that the file states
+    clocks: Mapping[str, str] = field(default_factory=dict)  # a column's time column, in s
+    withheld: Mapping[str, str] = field(default_factory=dict)  # why an array is empty
+    repairs: Mapping[str, int] = field(default_factory=dict)  # what was left out, how many times
+    lines: NDArray[np.int64] | None = None  # line in a text of each row, from 1, shape (n,)
+    step_s: float | None = None  # time between rows, if the file states it
+    one_origin: bool = False  # whether all clocks count from the same instant
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -274,7 +263,8 @@ class ArrayTable:
         return tuple(self.arrays)
 
     def numbered(self) -> ArrayTable:
-        """With the rows' numbers for a time, or their steps, in a file without a clock."""
+        """The table with a time column made from row numbers or the stated step, if the file has no
+        clock."""
         if TIME in self.arrays or self.clocks or not self.arrays:
             return self
         rows = max(values.size for values in self.arrays.values())
@@ -282,9 +272,11 @@ class ArrayTable:
         return replace(self, arrays={TIME: time, **self.arrays})
 
     def at_shared_stamps(self, names: Sequence[str], most: float = math.inf) -> ArrayTable:
-        """These columns alone, at the stamps of any of their clocks, with nothing where they have
-        no value; the same table where the clocks are one, cannot be compared, or one has more than
-        ``most`` times as many stamps as another."""
+        """These columns at the union of their clocks' stamps, with missing values filled in as NaN.
+
+        The table is unchanged if there is one clock, if clocks cannot be compared, or if one has
+        more than ``most`` times as many stamps as another.
+        """
         clocks = [*dict.fromkeys(self.clocks[n] for n in names if n in self.clocks)]
         times = {clock: self.arrays[clock] for clock in clocks}
         if len(clocks) < 2 or not self.one_origin or not all(map(_increases, times.values())):
@@ -312,13 +304,13 @@ class ArrayTable:
         return f'{which}, column "{column}"'
 
     def without_values(self) -> ArrayTable:
-        """Its names and places alone."""
+        """The table with empty columns: names, units and places remain."""
         return replace(self, arrays={name: values[:0] for name, values in self.arrays.items()})
 
     def timestamps(self, column: str) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not hold dates.
 
-        Raises RecordingError at the first value that is no date in a column of dates.
+        Raises RecordingError at the first value that is not a date in a column of dates.
         """
         values = self._values(column)
         if values.dtype.kind == "M":
@@ -332,8 +324,8 @@ class ArrayTable:
         return self._with_milliseconds(seconds)
 
     def _with_milliseconds(self, seconds: FloatArray) -> FloatArray:
-        """Whole seconds, shape (n,), and the milliseconds of a column of their own, with which they
-        increase: ``Date,Time,Millitm``."""
+        """Whole seconds, shape (n,), plus the milliseconds of another column
+        (``Date,Time,Millitm``) if the sum increases."""
         if np.any(seconds % 1.0 != 0.0) or np.all(np.diff(seconds) > 0.0):
             return seconds
         for name, values in self.arrays.items():
@@ -344,9 +336,9 @@ class ArrayTable:
         return seconds
 
     def numbers(self, columns: Sequence[str]) -> FloatArray:
-        """Values of some columns, shape (n, len(columns)); missing ones are NaN.
+        """Values of some columns, shape (n, len(columns)); NaN for missing ones.
 
-        Raises RecordingError if the columns differ in length, or one does not hold real numbers.
+        Raises RecordingError if lengths differ, or a column does not hold real numbers.
         """
         values: FloatArray = np.empty((self.samples_of(columns), len(columns)), order="F")
         for series, column in zip(values.T, columns, strict=True):
@@ -354,10 +346,7 @@ class ArrayTable:
         return values
 
     def samples_of(self, columns: Sequence[str]) -> int:
-        """Number of samples that these columns have.
-
-        Raises RecordingError if it is not the same for all.
-        """
+        """Number of samples of these columns. Raises RecordingError if it differs between them."""
         lengths = {column: self._values(column).size for column in columns}
         if len(set(lengths.values())) > 1:
             raise RecordingError(
@@ -399,7 +388,7 @@ class ArrayTable:
         )
 
     def _number_in_text(self, values: AnyArray, column: str) -> FloatArray:
-        """Numbers among cells of text."""
+        """Numbers in text cells, NaN for empty ones."""
         numbers = np.full(values.size, np.nan)
         for row, value in enumerate(values.tolist()):
             text = _text(value)
@@ -418,7 +407,7 @@ class ArrayTable:
         return numbers
 
     def plain_arrays(self) -> Iterator[AnyArray]:
-        """Each column without Python's objects: numbers, dates, or text cut to a length."""
+        """Columns without Python objects: numbers, dates, or shortened texts."""
         for values in self.arrays.values():
             if not values.dtype.hasobject:
                 yield np.ascontiguousarray(values)
@@ -429,17 +418,11 @@ class ArrayTable:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Columns that were sampled together.
+    """Columns that were sampled together."""
 
-    ``name``: what goes before the name of a column that other groups have too: a joint, a topic.
-    ``columns``: name to values, shape (n,). ``time``: the group's clock in s, shape (n,), or dates;
-    ``None`` where a column must be named for it. ``units``: units that the file states, by the
-    column's name. ``withheld``: why values of a column are not read, by the column's name.
-    """
-
-    name: str
-    columns: Mapping[str, AnyArray]
-    time: AnyArray | None = None
+    name: str  # prefix of column names that other groups have too: a joint, a topic
+    columns: Mapping[str, AnyArray]  # shape (n,) each
+    time: AnyArray | None = None  # clock in s or dates, shape (n,); None to look for a column
     units: Mapping[str, str] = field(default_factory=dict)
     withheld: Mapping[str, str] = field(default_factory=dict)
 
@@ -449,7 +432,7 @@ def _increases(stamps: AnyArray) -> bool:
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """The names, all that come several times numbered: ``n (1)``, ``n (2)``; empty ones stay."""
+    """Make names unique: repeated names become ``n (1)``, ``n (2)``; empty ones stay."""
     times = Counter(names)
     taken = set(times)
     reached: Counter[str] = Counter()
@@ -470,7 +453,7 @@ _CLOCK = re.compile(
 
 
 def is_called_time(name: str) -> bool:
-    """Whether a column's name says that it is a clock, and nothing else."""
+    """Whether a column's name says that it is a clock."""
     return _CLOCK.fullmatch(name) is not None
 
 
@@ -481,11 +464,11 @@ def table_of_groups(
     always_prefixed: bool = False,
     one_origin: bool = False,
 ) -> ArrayTable:
-    """All columns of all groups, each with its clock: its time, or else a column called so.
+    """All columns of all groups, each with the clock of its group (``time``, or a column called
+    time).
 
-    Groups of one name are numbered. A name that only one group has stays as it is, others become
-    ``GROUP/NAME``: all of them with ``always_prefixed``. The clock of a group is ``time_s`` among
-    them.
+    Groups of the same name are numbered. A column name that occurs in several groups becomes
+    ``GROUP/NAME``; with ``always_prefixed``, all names do. The clock of a group is its ``time_s``.
     """
     prefixes = numbered([group.name for group in groups])
     with_clocks = [
@@ -519,7 +502,7 @@ def table_of_groups(
 
 
 def _text(value: object) -> str:
-    """Text of a cell; empty for what stands for a missing value."""
+    """Text of a cell; empty for a missing value."""
     if value is None or np.any(value != value) or type(value).__name__ in ("NAType", "NaTType"):
         return ""
     if isinstance(value, bytes):

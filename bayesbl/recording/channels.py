@@ -1,6 +1,6 @@
-"""The names of channels, and how a file's columns are mapped to them.
+"""Names of channels, and the mapping of a file's columns to them.
 
-Free of heavy imports: configurations use it before any number is read.
+Configurations use this module before any number is read, so it imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -33,30 +33,25 @@ CHANNELS: Mapping[str, str] = MappingProxyType(
         REFERENCE_POSITION: "reference position",
     }
 )
-"""Channels the package knows by name, with their long names."""
+"""Known channels with their long names."""
 
 
 @dataclass(frozen=True, slots=True)
 class ColumnSpec:
-    """The column of a file that holds a channel.
-
-    ``name``: the column's name in the file. ``unit``: the unit it comes in; ``None`` for the unit
-    that the channel's name ends in. ``reversed``: whether its sign is the other one: forwards is
-    negative there.
-    """
+    """The column of a file that holds a channel."""
 
     name: str
-    unit: str | None = None
-    reversed: bool = False
+    unit: str | None = None  # None for the unit that the channel's name ends in
+    reversed: bool = False  # whether forward motion is negative
 
 
 def is_mappable(channel: str) -> bool:
-    """Whether a column may be mapped to this name: time, a known channel, or a known torque."""
+    """Whether a column may be mapped to this name: time, a known channel or a known torque."""
     return channel == TIME or channel in CHANNELS or channel.endswith("_nm")
 
 
 def or_another_name(file: str) -> str:
-    """What else a file's column may be called, and the command that guesses the columns."""
+    """Hint for messages: map another column name, and the command that guesses the columns."""
     command = f"bayesbl init {shlex.quote(Path(file).name)}"
     return (
         f"or another name for it under [columns] (`{command}` writes them; --config takes a file "
@@ -65,20 +60,20 @@ def or_another_name(file: str) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """The known name most like ``name``, whatever its case; ``None`` if none is near."""
+    """The known name most similar to ``name``, ignoring case; ``None`` if none is similar."""
     by_lower = {candidate.lower(): candidate for candidate in known}
     matches = get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
     return by_lower[matches[0]] if matches else None
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """``' Did you mean "…"?'`` with the nearest known name, or nothing."""
+    """``' Did you mean "…"?'`` with the most similar known name, or an empty text."""
     match = nearest(name, known)
     return "" if match is None else f' Did you mean "{match}"?'
 
 
 def did_you_mean_file(path: Path) -> str:
-    """``' Did you mean "…"?'`` with the name in its folder most like a missing file's."""
+    """``' Did you mean "…"?'`` with the most similar file name in the folder of a missing file."""
     try:
         return did_you_mean(path.name, sorted(os.listdir(path.parent)))
     except (OSError, ValueError):

@@ -1,9 +1,8 @@
-"""What a task may ask of a recording, each as a small function that refuses with the reason.
+"""Checks that a recording holds what a task needs; each refuses with the reason.
 
-A recording that passes :mod:`bayesbl.recording.readers` is sound as a file; whether it holds what
-a fit needs is asked here: of a joint that turns at one speed, or of one that follows a reference
-over time. Every function raises :class:`RecordingError`; only :func:`ready_for_fit` and
-:func:`with_speed` change anything, and return the changed recording.
+:mod:`bayesbl.recording.readers` checks the file. These functions check for a joint at constant
+speed, or one that follows a varying reference. All raise :class:`RecordingError`. Only
+:func:`ready_for_fit` and :func:`with_speed` change a recording, and return the changed copy.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
 MINIMUM_SAMPLING_HZ = 50.0
-"""The ringing is near 10 Hz and lasts 0.2 s: below this a pulse is too few samples."""
+"""The ringing is near 10 Hz and lasts 0.2 s: at a lower rate, a pulse has too few samples."""
 
 MINIMUM_ROTATIONS = 1.95
-"""Two rotations tell noise from misfit; a little of the second may be missing."""
+"""Two rotations separate noise from misfit; a little of the second may be missing."""
 
 BLOCK_S = 0.25
 BLOCKS_COMPARED = 4
@@ -43,20 +42,20 @@ LARGEST_DEPARTURE = 0.2
 SMALLEST_STEP = 0.02
 STEP_OVER_SCATTER = 6.0
 MOST_STRETCHES = 6
-"""Of :func:`require_one_speed`."""
+"""Constants of :func:`require_one_speed`."""
 
 LARGEST_CURRENT = 2.0
-"""Over the bench's limit: peaks of the phase and of the sine differ by √2, units by far more."""
+"""Multiple of the bench's limit: peak and RMS values differ by √2, wrong units by far more."""
 
 STANDSTILL_RPM = 1.0
-"""A motor that turned slower would need minutes for one rotation even without a gear."""
+"""A slower motor would take minutes for one rotation even without a gear."""
 
 LARGEST_DRIFT = 0.01
 DRIFT_OVER_SCATTER = 3.0
-"""Of :func:`require_no_drift`; what the load angle does to the speed is smaller in both."""
+"""Constants of :func:`require_no_drift`; the load angle's effect on the speed is below both."""
 
 UNIT_AGREEMENT = 0.02
-"""Relative difference that another unit must leave to be the likely one."""
+"""Relative difference below which another unit is the likely one."""
 
 WHAT_A_MOTION_NEEDS = (
     "what the controller was asked for over time, as a column reference_speed_rpm or "
@@ -64,18 +63,15 @@ WHAT_A_MOTION_NEEDS = (
 )
 
 CONSTANT_RANGE = 1e-6
-"""A signal that varies by less than this part of its size is constant."""
+"""A signal that varies by a smaller share of its size is constant."""
 
 
 def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Recording:
-    """The recording as a fit of the speed's disturbance pattern takes it, with a speed.
+    """The recording with a speed, checked for a fit of the speed's disturbance pattern.
 
-    A recording of a motion, with its reference, is asked for neither one speed nor rotations.
-
-    Rotations are counted only if the gear ratio is known; otherwise the fit, which finds the
-    rotation period itself, asks :func:`require_rotations` with what it found.
-
-    Raises RecordingError if anything that a fit needs is missing.
+    A motion needs a reference, but neither one speed nor whole rotations. Rotations are counted
+    here only if the gear ratio is known; otherwise the fit finds the rotation period and calls
+    :func:`require_rotations`. Raises RecordingError if anything is missing.
     """
     recording = with_speed(recording)
     require_channels(recording, [MOTOR_SPEED])
@@ -94,14 +90,14 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
 
 
 SPEED_AVERAGED_S = "speed_averaged_s"
-"""Entry of a recording's metadata: time over which its speed is a mean, where it is derived."""
+"""Metadata key: time over which a speed derived from positions is averaged, in s."""
 
 
 def with_speed(recording: Recording) -> Recording:
-    """The recording with the motor's speed, of its position where that is all there is.
+    """The recording with a motor speed, derived from the motor's position if there is no speed.
 
-    ω_k = (θ_k − θ_{k−1})/Δt, the mean over the period before a sample, as the law
-    ``speed_averaging`` has it. Positions that the recorder made up between others are not used.
+    ω_k = (θ_k − θ_{k−1})/Δt is the mean over the period before a sample, as in the law
+    ``speed_averaging``. Positions that the recorder repeated or interpolated are dropped.
     """
     if MOTOR_SPEED in recording.channels or MOTOR_POSITION not in recording.channels:
         return recording
@@ -126,7 +122,7 @@ def with_speed(recording: Recording) -> Recording:
 
 
 def _only(recording: Recording, kept: slice) -> Recording:
-    """Some samples of a recording."""
+    """The recording with some of its samples."""
     lost = recording.excluded
     return replace(
         recording,
@@ -137,7 +133,7 @@ def _only(recording: Recording, kept: slice) -> Recording:
 
 
 def require_channels(recording: Recording, channels: Sequence[str]) -> None:
-    """The recording holds these channels."""
+    """Require these channels."""
     for channel in channels:
         if channel not in recording.channels:
             unused = recording.source.unused_columns if recording.source else ()
@@ -153,7 +149,7 @@ def require_channels(recording: Recording, channels: Sequence[str]) -> None:
 
 
 def require_sampling_rate(recording: Recording) -> None:
-    """The mean sampling rate is at least :data:`MINIMUM_SAMPLING_HZ`."""
+    """Require a mean sampling rate of at least :data:`MINIMUM_SAMPLING_HZ`."""
     rate = 1.0 / recording.sampling_period_s
     # Rounded time stamps put a rate a hair below itself.
     if not rate >= MINIMUM_SAMPLING_HZ * (1.0 - 1e-3):
@@ -172,9 +168,9 @@ def require_sampling_rate(recording: Recording) -> None:
 
 
 def require_no_holes(recording: Recording) -> None:
-    """No step between two samples is longer than :data:`HOLE` times the usual one.
+    """Require that no step between samples is longer than :data:`HOLE` times the usual one.
 
-    Shorter ones need not be even: :func:`bayesbl.recording.repairs.even` takes them as they are.
+    Shorter steps may be uneven: :func:`bayesbl.recording.repairs.even` handles them.
     """
     steps = np.diff(recording.time_s)
     longest, usual = int(np.argmax(steps)), float(np.median(steps))
@@ -191,7 +187,7 @@ def require_no_holes(recording: Recording) -> None:
 
 
 def rotations_of(recording: Recording, gear_ratio: float) -> float:
-    """Load rotations in the recording, from the motor's position or else from its mean speed."""
+    """Load rotations in the recording, from the motor's position or else its mean speed."""
     position = recording.channels.get(MOTOR_POSITION)
     if position is not None:
         covered = abs(float(position[-1] - position[0])) / (2.0 * math.pi)
@@ -202,7 +198,7 @@ def rotations_of(recording: Recording, gear_ratio: float) -> float:
 
 
 def require_rotations(recording: Recording, rotations: float) -> None:
-    """The recording spans two rotations of the load; 1.95 pass."""
+    """Require :data:`MINIMUM_ROTATIONS` rotations of the load."""
     if rotations >= MINIMUM_ROTATIONS:
         return
     needed = (
@@ -217,7 +213,7 @@ def require_rotations(recording: Recording, rotations: float) -> None:
 
 
 def require_alive(recording: Recording, channels: Sequence[str]) -> None:
-    """Of these channels, those that the recording holds change at all."""
+    """Require that these channels vary, if the recording holds them."""
     for channel in channels:
         if channel in recording.channels and is_constant(recording.channels[channel]):
             raise RecordingError(
@@ -243,7 +239,7 @@ def _all_alike(recording: Recording, channel: str) -> str:
 
 
 def _of_dead_channels(recording: Recording) -> list[str]:
-    """A sentence for each channel that never changes and that a fit of the speed does not use."""
+    """A sentence for each constant channel that a fit of the speed does not use."""
     return [
         f"The {CHANNELS[channel]} ({channel}) never changes ({_all_alike(recording, channel)}): a "
         "dead sensor, or a value that was filled in. It is not used here, and the direct route "
@@ -254,7 +250,7 @@ def _of_dead_channels(recording: Recording) -> list[str]:
 
 
 def require_turning(recording: Recording) -> None:
-    """The motor turns: its mean speed is not only the sensor's noise."""
+    """Require that the motor turns: its mean speed is more than the sensor's noise."""
     means, _ = _block_means(recording)
     fastest = float(np.abs(means).max())
     if fastest >= STANDSTILL_RPM:
@@ -269,12 +265,12 @@ def require_turning(recording: Recording) -> None:
 
 
 def require_one_speed(recording: Recording) -> None:
-    """The joint turns at one speed from start to end.
+    """Require one speed from start to end.
 
-    Two things are looked for in means over a quarter of a second, which average the ringing out:
-    a mean that is off their median by more than a fifth, and a step between one second and the
-    next of more than 2 % and six times the scatter within those seconds. No slow wave of the load
-    angle makes such a step: on a slope the ratio is at most √12.
+    Means over a quarter of a second, which average the ringing out, must not differ from their
+    median by more than a fifth. Between one second and the next they must not change by more than 2
+    % and six times their scatter within those seconds. Slow waves of the load angle make no such
+    step: on a slope, the ratio is at most √12.
     """
     means, edges_s = _block_means(recording)
     count = means.size
@@ -314,10 +310,10 @@ def require_one_speed(recording: Recording) -> None:
 
 
 def require_no_drift(recording: Recording) -> None:
-    """The speed does not drift; asked by a fit that did not find the rotations.
+    """Require that the speed does not drift, for a fit that did not find the rotations.
 
-    A drift is a parabola through means over a quarter of a second. In a recording of one rotation
-    the load angle's wave looks like one, so a fit that finds its rotations does not ask.
+    The drift is a parabola through means over a quarter of a second. In one rotation the load
+    angle's wave resembles one, so a fit that finds its rotations does not call this.
     """
     means, edges_s = _block_means(recording)
     x = np.linspace(-1.0, 1.0, means.size)
@@ -339,9 +335,10 @@ def require_no_drift(recording: Recording) -> None:
 
 
 def _block_means(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Mean speeds over a quarter of a second each, shape (b,), rpm; their edges, (b + 1,), s.
+    """Mean speeds over a quarter of a second, shape (b,), rpm, and the edges of these blocks, (b +
+    1,), s.
 
-    A recording shorter than that is one block; what does not fill the last one is left out.
+    A shorter recording is one block; an incomplete last block is left out.
     """
     block = min(max(1, round(BLOCK_S / recording.sampling_period_s)), recording.samples)
     count = recording.samples // block
@@ -350,7 +347,7 @@ def _block_means(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
 
 def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: FloatArray) -> str:
-    """Speed and time range of each stretch between cuts (numbers of blocks), in words."""
+    """Speed and time range of each stretch between cuts (block numbers), in words."""
     parts = [
         f"{np.median(means[begin:end]):.5g} rpm from {edges_s[begin]:.4g} to {edges_s[end]:.4g} s"
         for begin, end in itertools.pairwise(cuts)
@@ -360,10 +357,10 @@ def _stretches(means: FloatArray, cuts: Sequence[int], edges_s: FloatArray) -> s
 
 
 def require_plausible_speed_unit(recording: Recording) -> None:
-    """Mean speed agrees with the motor's position and with the reference speed, if they are there.
+    """Require that the mean speed agrees with the motor's position and the reference speed.
 
-    Directions may differ in sign. A mean speed below 1 rpm is too slow to compare. If another
-    unit of any column makes them agree within 2 %, the message says so.
+    Signs may differ, and a mean speed below 1 rpm is not compared. If another unit of a column
+    would make them agree within 2 %, the message says so.
     """
     speed = abs(float(recording.motor_speed_rpm.mean()))
     position = recording.channels.get(MOTOR_POSITION)
@@ -378,14 +375,14 @@ def require_plausible_speed_unit(recording: Recording) -> None:
 
 
 def require_reference_speed(recording: Recording, speed_rpm: float) -> None:
-    """Mean speed agrees with the speed that was asked for, of either sign, within 5 %."""
+    """Require that the mean speed agrees with the reference speed, of either sign, within 5 %."""
     require_channels(recording, [MOTOR_SPEED])
     speed = abs(float(recording.motor_speed_rpm.mean()))
     _require_same_speed(recording, speed, abs(speed_rpm), REFERENCE_SPEED, "of")
 
 
 def require_plausible_current(recording: Recording, limit_a: float) -> None:
-    """The current is not far beyond what the drive gives; one sample in a hundred may be stray."""
+    """Require a current within reach of the drive; one sample in a hundred may be a stray."""
     size = float(np.quantile(np.abs(recording.channels[MOTOR_CURRENT]), 0.99))
     if size <= LARGEST_CURRENT * limit_a:
         return
@@ -399,7 +396,7 @@ def require_plausible_current(recording: Recording, limit_a: float) -> None:
 
 
 def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> str | None:
-    """A question to the user where the mean speed would be the expected one in another unit."""
+    """A question to the user if the mean speed would be as expected in another unit."""
     if expected_rpm is None:
         return None
     speed = abs(float(recording.motor_speed_rpm.mean()))
@@ -432,7 +429,7 @@ def _require_same_speed(
 
 
 def _other_unit(ratio: float, channel: str) -> str:
-    """The unit that would explain a ratio of speed to another channel, as a sentence."""
+    """The unit that would explain the ratio of speed to another channel, as a sentence."""
     suspects = [(MOTOR_SPEED, 1), (channel, -1)]
     if channel == MOTOR_POSITION:
         suspects.append((TIME, 1))
@@ -443,7 +440,7 @@ def _other_unit(ratio: float, channel: str) -> str:
 
 
 def _unit_of_ratio(ratio: float, channel: str) -> str | None:
-    """The unit whose size the inverse of a ratio is: the channel would then be as expected."""
+    """The unit whose conversion factor is the inverse of a ratio."""
     for unit in accepted_units(channel)[1:]:
         factor = conversion_factor(channel, unit)
         if factor != 1.0 and abs(ratio * factor - 1.0) <= UNIT_AGREEMENT:
@@ -452,18 +449,18 @@ def _unit_of_ratio(ratio: float, channel: str) -> str | None:
 
 
 def require_unclipped(recording: Recording, channel: str) -> None:
-    """The signal does not run into a limit of its sensor or of its number format.
+    """Require that the signal does not run into a limit of its sensor or number format.
 
-    A limited signal piles up on its very largest or smallest value. Three things must come
-    together, at either end, to be called that:
+    A clipped signal piles up on its largest or smallest value. It counts as clipped if, at either
+    end,
 
-    - at least 5 samples in a row sit exactly on the extreme value;
+    - at least 5 samples in a row have exactly the extreme value;
     - that value occurs more than 5 times as often as any of the 10 distinct values next to it;
     - there are at least 10 such values, so that the signal is not merely coarse.
 
-    The second cannot hold for an encoder's quantised speed: its levels thin out towards the
-    extremes, and even the flat top of a sine holds its highest level only 2.4 times as long as
-    the next. A signal held for some samples repeats all its values alike.
+    The second condition excludes quantised speeds of an encoder: their levels thin out towards the
+    extremes, and even the flat top of a sine holds its highest level only 2.4 times as long as the
+    next. A signal that is held for some samples repeats all of its values.
     """
     values = recording.channels[channel]
     for side, signal in (("largest", values), ("smallest", -values)):
@@ -482,7 +479,7 @@ def require_unclipped(recording: Recording, channel: str) -> None:
 
 
 def _samples_at_limit(values: FloatArray) -> int:
-    """Samples piled up on the maximum if it is a limit, else 0."""
+    """Number of samples at the maximum if that is a limit, else 0."""
     levels, counts = np.unique(values, return_counts=True)
     if levels.size < 11 or counts[-1] <= 5 * counts[-11:-1].max():
         return 0
@@ -491,26 +488,26 @@ def _samples_at_limit(values: FloatArray) -> int:
 
 
 VARIES = 0.05
-"""Range of a reference speed over its largest value, from which on it is a motion. Below it the
-speed is one, and what it varies by is at most what a fit of one speed refuses."""
+"""A reference speed whose range is a larger share of its maximum is a motion. A smaller variation
+passes for one speed; a fit of one speed refuses hardly less."""
 
 PARTS = 8
-"""Of a recording, whose mean speeds are compared."""
+"""Number of parts of a recording whose mean speeds are compared."""
 
 AT_REST = 1e-3
-"""Share of its largest value below which a reference speed is a rest."""
+"""Share of its maximum below which a reference speed is a rest."""
 
 DIFFERENT = 0.25
-"""Squared difference over power at which a reference no longer is what it was a little earlier: a
-cycle is longer than that."""
+"""A reference has changed at the lag at which its squared difference over its power exceeds this; a
+cycle is longer than that lag."""
 
 ALIKE = 0.03
-"""RMS difference of a reference from itself one cycle later, over its RMS: less than a shift by one
-sample in a hundred of a stroke."""
+"""RMS difference between a reference and itself one cycle later, over its RMS; a shift by one
+sample in a hundred of a stroke gives more."""
 
 AGREEMENT = 0.1
-"""Largest relative difference of the speed from its reference, by least squares over the motion. A
-speed loop follows within a few per cent; the nearest wrong units differ by a factor of 2π."""
+"""Largest relative difference between speed and reference, by least squares. A speed loop follows
+within a few per cent; the nearest wrong units differ by a factor of 2π."""
 
 
 def moves(recording: Recording) -> bool:
@@ -528,10 +525,9 @@ def moves(recording: Recording) -> bool:
 
 
 def is_one_speed(speed_rpm: FloatArray, period_s: float) -> bool:
-    """Whether a motor turns at one speed: no part of the recording is slower or faster.
+    """Whether no part of a recording is slower or faster; ``speed_rpm`` has shape (n,).
 
-    Parts of a turn or more, if there are so many: torque that repeats averages out over them.
-    ``speed_rpm``: shape (n,).
+    Parts last a turn or more if possible, so that torque that repeats averages out.
     """
     turns = float(np.mean(np.abs(speed_rpm))) / 60.0 * speed_rpm.size * period_s
     parts = np.array_split(speed_rpm, max(2, min(PARTS, int(turns))))
@@ -540,10 +536,11 @@ def is_one_speed(speed_rpm: FloatArray, period_s: float) -> bool:
 
 
 def require_same_motion(recording: Recording, asked_rpm: FloatArray) -> None:
-    """The speed is that of its reference, in size and direction.
+    """Require that the speed has the size and direction of its reference, ``asked_rpm``, shape
+    (n,).
 
-    ``asked_rpm``: reference speed, shape (n,). Raises RecordingError if not: another unit, the
-    load's side of the gear, or another motion.
+    Otherwise units are wrong, the reference belongs to the load's side of the gear, or to another
+    motion.
     """
     speed = recording.motor_speed_rpm
     ratio = float(speed @ asked_rpm) / float(asked_rpm @ asked_rpm)
@@ -564,14 +561,14 @@ def require_same_motion(recording: Recording, asked_rpm: FloatArray) -> None:
 
 
 def first_move(asked: FloatArray) -> int:
-    """Samples that a reference, shape (n,), rests for at its begin; 0 where it begins in motion."""
+    """Number of samples for which a reference, shape (n,), rests at its start."""
     return int(np.argmax(np.abs(asked) > AT_REST * float(np.max(np.abs(asked)))))
 
 
 def cycle_of(asked: FloatArray) -> int | None:
-    """Samples after which a reference, shape (n,), repeats; ``None`` where less than two cycles do.
+    """Number of samples after which a reference, shape (n,), repeats; ``None`` below two cycles.
 
-    What comes before the first motion is left out.
+    The rest before the first motion is left out.
     """
     part = asked[first_move(asked) :]
     n = part.size

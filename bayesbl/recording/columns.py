@@ -1,4 +1,4 @@
-"""Which columns of a file become which channels, and in which unit they come."""
+"""Which columns of a file become which channels, and their units."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ _QUESTIONS = frozenset(
     "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
     "digits pu erpm percent pct permille cycles kmh kph mph mps mmps ips".split()
 )
-"""Words for units of a size that only the user knows."""
+"""Words for units whose size only the user knows."""
 
 _OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m n kn kg kgf lbf units".split())  # noqa: SIM905
-"""In brackets also units of other things than a channel is, or of which the size is open."""
+"""In brackets, also units of other quantities, or of unknown size."""
 
 _LENGTHS = frozenset("m mm cm km in inch ft".split())  # noqa: SIM905
 _SCALED = re.compile(r"[%‰]$|(?:(?<![^\W_])[x×]|[*])\s*10+$")
-"""At a name's end: a share, or a number that the values were multiplied by or are to be."""
+"""End of a name that marks a share, or a factor that was or is to be applied."""
 
 COUNTED = frozenset(("sample", "samples"))
 _INDEX = re.compile(r"(?:[\s_]|[\s_]?[(\[])\d+[)\]]?$")
-"""At a name's end: which joint, or which of several columns of that name."""
+"""End of a name that numbers a joint, or one of several columns of the same name."""
 
 _COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of the file, the channel it becomes, and the unit it comes in.
+    """A column of the file, the channel it becomes, and its unit.
 
-    ``note`` says so where only the column's name states the unit.
+    ``note`` says that the unit is taken from the column's name, if it is.
     """
 
     name: str
@@ -61,15 +61,15 @@ class Column:
 
     @property
     def factor(self) -> float:
-        """What brings the column to the channel's own unit and sign."""
+        """Factor that converts the column to the channel's own unit and sign."""
         size = 1.0 if self.unit is None else conversion_factor(self.channel, self.unit)
         return -size if self.reversed else size
 
 
 def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[Column]:
-    """Time first, then the mapped columns, then those that already have a channel's name.
+    """Time first, then the mapped columns, then columns that have a channel's name.
 
-    Where the file ties columns to clocks, time is that of the mapped columns unless it is mapped.
+    If the file ties columns to clocks, time is the clock of the mapped columns unless it is mapped.
     """
     names = table.columns
     channels = {
@@ -110,23 +110,18 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
 
 @dataclass(frozen=True, slots=True)
 class StatedUnit:
-    """What a file says of a column's unit.
+    """What a file states about a column's unit."""
 
-    ``bare``: the column's name without it. ``unit``: in this package's spelling; ``None`` where the
-    file states none that is known. ``unknown``: what it states that is no unit here, or no size: a
-    question to the user. ``ending``: the name's ending that states it (``n_rad_s``); empty where
-    the file or brackets do.
-    """
-
-    bare: str
-    unit: str | None = None
-    unknown: str | None = None
-    ending: str = ""
+    bare: str  # the column's name without the unit
+    unit: str | None = None  # in this package's spelling, if known
+    unknown: str | None = None  # a unit that is unknown or has no size: a question to the user
+    ending: str = ""  # end of the name that states it (n_rad_s); empty if file or brackets do
 
     def of(self, channel: str) -> StatedUnit:
-        """The same for this channel: a unit that it cannot have is a question.
+        """The same for a channel: a unit that the channel cannot have becomes a question.
 
-        Of an ending a single letter may be anything: ``speed_a`` is one of axis a.
+        A single letter at the end of a name may mean anything: ``speed_a`` may be the speed of axis
+        a.
         """
         if self.unit is None or is_accepted(channel, self.unit):
             return self
@@ -139,10 +134,12 @@ class StatedUnit:
 
 
 def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> StatedUnit:
-    """The unit in the file, else in the brackets of the column's name, else at the name's end.
+    """The unit stated by the file, else in brackets in the column's name, else at the end of the
+    name.
 
-    ``n [rad/s]``, ``n / rad/s``, ``n_rad_per_s``, ``nRadPerS``. Whatever looks like a unit and is
-    none here is unknown: any guess would be a factor. An index (``x[0]``) and a remark are none.
+    Examples are ``n [rad/s]``, ``n / rad/s``, ``n_rad_per_s`` and ``nRadPerS``. Text that looks
+    like a unit but is not known here is ``unknown``, because a guess would be wrong by a factor.
+    Indices (``x[0]``) and remarks are not units.
     """
     name = column if name is None else name
     scaled = _SCALED.search(name.strip())
@@ -158,10 +155,10 @@ def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> Stat
 def stamps_and_values(
     table: ArrayTable, time: str, columns: Sequence[str] = ()
 ) -> tuple[FloatArray, FloatArray]:
-    """Numbers of a column of time, shape (n,), and of others, shape (n, c).
+    """Numbers of a time column, shape (n,), and of other columns, shape (n, c).
 
-    Nanoseconds that a second column holds are put to seconds that are whole: ROS writes
-    ``stamp.sec`` and ``stamp.nanosec``. Beside others they are the same time once more.
+    If a second column holds nanoseconds to whole seconds (ROS writes ``stamp.sec`` and
+    ``stamp.nanosec``), they are added.
     """
     nano = "(?i)n(ano)?(?=s(ecs?|econds?)?$)"
     rest = [name for name in table.columns if name != time and re.sub(nano, "", name) == time]
@@ -191,7 +188,8 @@ def _bracketed(name: str) -> StatedUnit | None:
 
 
 def _ending(name: str) -> StatedUnit:
-    """The longest ending that is a unit. A number before it is an index, or else a question."""
+    """The unit at the end of a name, the longest that fits; a number before it is an index or a
+    question."""
     name = _INDEX.sub("", name.strip())
     for at in (boundary.start() for boundary in _BOUNDARY.finditer(name)):
         text = name[at:].strip()

@@ -1,8 +1,8 @@
-"""Which channels the columns of an unknown file may hold, and in which units, for a user to check.
+"""Guess the channels and units of the columns of an unknown file, for a user to check.
 
-Names decide first, then units that the file states, then what the numbers allow: a sampling rate
-that makes sense, a speed that agrees with the position. Nothing here is ever used unseen: the
-guesses are written into a configuration for the user to confirm.
+Names decide first, then units that the file states, then the numbers: a plausible sampling rate, or
+a speed that agrees with the position. Guesses are never used directly; they are written into a
+configuration for the user to confirm.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
         MOTOR_TORQUE: "torque tau trq moment drehmoment effort force kraft",
     }
 )
-"""Channel to the words that files use for it, in small letters."""
+"""Words (in small letters) that files use for each channel."""
 
 _TURNS_BY_MINUTE = "drehzahl"
-"""Words that say the unit: angular speeds are called otherwise."""
+"""Words that imply rpm."""
 
 _REFERENCE = (
     "ref reference set setpoint cmd command target desired demand nominal soll sp goal "
@@ -70,25 +70,25 @@ _BESIDE = (
     "supply bus battery dc freq frequency term "
     "ina"  # a monitor of the supply is called by its chip: INA219
 )
-"""What stands beside a channel under its name and is another quantity."""
+"""Words that mark another quantity beside a channel of that name."""
 
 _ELECTRICAL = "electrical electric elec el elektrisch elektrische"
-"""Of a speed or an angle: as many times the motor's as it has pole pairs."""
+"""Electrical speeds and angles are those of the motor times its pole pairs."""
 
 _FILTERED = "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt"
 _CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"
-"""What groups of one joint's columns are called."""
+"""Names of the groups of one joint's columns."""
 
 _LOAD_TORQUE = "load torque"
-"""Beside the channels: of ramps, the torque at the output takes the place of the motor's."""
+"""No channel: for ramps, the torque at the output replaces the motor's."""
 
 _FEWEST_JOINTS = 3
-"""Numbers in names that are alike but for them: two may be both sides of one joint, but for those
-of a message or of axes."""
+"""Similar names with different numbers that make joints. Two may be both sides of one joint, except
+in a message or for axes."""
 
 _AXIS = re.compile(r"(?<![^\W_])(?:[aj]\d|ax[ie]s|achse|actual_qd?|qd?_act)", re.IGNORECASE)
-"""As robots call an axis or its joint, logged behind the gearbox: ``A1``, ``actual_qd_0``."""
+"""Names of an axis or its joint, logged behind the gearbox: ``A1``, ``actual_qd_0``."""
 
 _NUMBER = re.compile(r"\d+")
 _STEMS = frozenset(
@@ -97,41 +97,41 @@ _STEMS = frozenset(
     for word in words.split()
     if len(word) > 2
 )
-"""What compounds are made of."""
+"""Words that compounds are made of."""
 
 NO_UNIT = "no unit found: check it"
 """Reason for a unit that nothing in the file supports."""
 
 BY_ROS = "ROS logs in SI units (REP 103)"
-"""Reason for the unit of a column that a topic's path names."""
+"""Reason for the unit of a column named by a topic's path."""
 
 _SI = {MOTOR_SPEED: "rad/s", MOTOR_POSITION: "rad", LOAD_POSITION: "rad", MOTOR_TORQUE: "N m"}
 _TOPIC = re.compile(r"/\w+/|field\.")
-"""As PlotJuggler and ``rostopic`` begin a column's name."""
+"""Start of column names by PlotJuggler and ``rostopic``."""
 
 AS_SPEED = "as the speed: check it"
-"""Reason for the unit of a reference that states none: it nearly always has the speed's."""
+"""Reason for the unit of a reference that states none; it nearly always has the speed's."""
 
 NO_NAME = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
-"""Reason for a column that no name tells."""
+"""Question if no column has the name of a motor channel."""
 
 COUNTS = 'it counts the samples: enter what lies between two of them, as "4 ms"'
-"""Reason for a time that no name tells, in steps of one."""
+"""Question about a time without such a name that counts in steps of one."""
 
 NO_CLOCK = "no name says that it is the time; enter its unit if it is"
-"""Reason for the unit of a column that increases, as a position also may."""
+"""Question about a column that increases; it may be a position."""
 
 _WITH_RATIO = 'enter the gear ratio with its unit, as "120 deg/s" or "120 deg" at a gear of 120'
 BEHIND = (
     f"by its name it is behind the gearbox: {_WITH_RATIO}; the unit alone if it is the motor's own"
 )
-"""Reason for a speed or a position of an axis."""
+"""Question about the speed or position of an axis."""
 
 OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
-"""Reason for the torque of ramps that was measured at the other side of the gear."""
+"""Question about a ramp's torque measured at the other side of the gear."""
 
 UNKNOWN = "?"
-"""In place of a unit or a name that nothing tells: the configuration does not run with it."""
+"""Placeholder for an unknown unit or name; the configuration does not run with it."""
 
 _USUAL_RATES_HZ = (10.0, 5e4)
 _THESE_YEARS = (631152000.0, 4102444800.0)
@@ -144,37 +144,38 @@ _STARTS: Mapping[str, tuple[float, ...]] = MappingProxyType(
         "86.4 ms": (86400.0 * 25569,),
     }
 )
-"""Seconds before 1970 from which Windows and .NET count ticks, Excel and MATLAB days, and WinCC
-millionths of a day; each of these is a unit only of times that are then of these years."""
+"""Seconds before 1970 at which the counts of Windows and .NET (ticks), Excel and MATLAB (days) and
+WinCC (millionths of a day) begin. They are units only of times within these years."""
 
 _UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", *_STARTS)
 _SHORTEST_S, _LONGEST_S = 0.5, 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SWITCHED = (MOTOR_SPEED, MOTOR_POSITION, MOTOR_CURRENT, MOTOR_TORQUE, LOAD_POSITION, _LOAD_TORQUE)
-"""Channels that are measured, so never yes or no: ``torque_enabled`` is no torque."""
+"""Measured channels, which are never yes or no: ``torque_enabled`` is no torque."""
 
 _SIDES_ALIKE = 2.5
-"""Ratio of the largest torques each way, up to which they may be ramps to and fro."""
+"""Largest ratio between the largest torques of both directions of ramps to and fro."""
 
 _STANDSTILL_RPM = 1.0
 _TURNS_BACK = 1.5
-"""Way over distance of a motor that goes to and fro."""
+"""Path over distance of a motor that moves to and fro."""
 
 _FOLLOWS = 0.5
-"""Share of a position's variance that another one explains, if both may be of one joint."""
+"""Share of a position's variance that another position of the same joint explains."""
 
 _IS_INTEGRAL = 0.95
-"""The same of a position and the integral of its speed."""
+"""The same share for a position and the integral of its speed."""
 
 _AGREEMENT = 0.02
-"""Relative; speed and position that differ by less belong together."""
+"""Relative difference within which speed and position belong together."""
 
 
 @dataclass(frozen=True, slots=True)
 class GuessedColumn:
-    """A column, the channel it may be, and why; ``sure`` if the file itself states the unit.
+    """A column, the channel it may be, and the reason.
 
-    ``needed``: nothing runs without it. ``doubted``: the reason is a question about the channel.
+    ``sure``: the file itself states the unit. ``needed``: nothing runs without the column.
+    ``doubted``: the reason is a question about the channel.
     """
 
     channel: str
@@ -187,22 +188,22 @@ class GuessedColumn:
 
     @property
     def is_open(self) -> bool:
-        """Whether the user has to say what it is."""
+        """Whether the user has to complete it."""
         return self.needed and self.unit == UNKNOWN
 
     @property
     def is_spare(self) -> bool:
-        """Whether nobody knows what it is, and nothing needs it."""
+        """Whether its unit is unknown and nothing needs it."""
         return not self.needed and self.unit == UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """All columns that were recognised, time first, and the names of the others.
+    """The recognised columns, time first, and the names of the others.
 
-    ``route``: ``torque_ramp`` if one side is held, and a torque that goes both ways turns the other
-    a little, by a name the motor if ``of_motor``; ``two_encoders`` if there are the positions of
-    motor and load, and the motor turns back; else empty.
+    ``route`` is ``torque_ramp`` if one side is held and a torque to and fro turns the other a
+    little (the motor by its name if ``of_motor``), ``two_encoders`` if there are positions of motor
+    and load and the motor reverses, else empty.
     """
 
     columns: tuple[GuessedColumn, ...]
@@ -212,13 +213,13 @@ class Guess:
 
     @property
     def is_open(self) -> bool:
-        """Whether anything is left for the user to fill in."""
+        """Whether the user has to complete anything."""
         return self.of_motor or any(column.is_open for column in self.columns)
 
 
 @dataclass(frozen=True)  # without slots, for values that are read once
 class _Named:
-    """What a column's name and the file say of it."""
+    """A column with what its name and the file say about it."""
 
     table: ArrayTable
     name: str
@@ -231,7 +232,7 @@ class _Named:
 
     @cached_property
     def values(self) -> FloatArray:
-        """Its values, shape (n,), NaN where one is missing; all NaN where it holds text."""
+        """Values, shape (n,), NaN if missing; all NaN for a column of text."""
         stamps = self.stamps
         if stamps is not None:
             return stamps
@@ -243,7 +244,7 @@ class _Named:
 
     @cached_property
     def positions(self) -> FloatArray:
-        """Its values, shape (n,), as a recording has them: what begins again at a turn goes on."""
+        """Values, shape (n,), unwrapped as for a recording."""
         without_strays(values := self.values.copy(), Counter[str](), self.name)
         for unit in _possible(MOTOR_POSITION, self) or ("rad",):
             size, repairs = conversion_factor(MOTOR_POSITION, unit), Counter[str]()
@@ -254,18 +255,18 @@ class _Named:
 
     @property
     def rad(self) -> float | None:
-        """The size of the unit of angles that the file states."""
+        """Size in rad of the unit of angles that the file states."""
         unit = self.stated.of(MOTOR_POSITION).unit
         return None if unit is None else conversion_factor(MOTOR_POSITION, unit)
 
     @cached_property
     def stamps(self) -> FloatArray | None:
-        """Seconds since the first date, where it holds dates."""
+        """Seconds since the first date of a column of dates."""
         return self.table.timestamps(self.name)
 
     @property
     def has_dates(self) -> bool:
-        """Whether it holds nothing but dates."""
+        """Whether it holds only dates."""
         try:
             return self.stamps is not None
         except RecordingError:
@@ -273,20 +274,23 @@ class _Named:
 
     @property
     def is_coarse(self) -> bool:
-        """Whether it holds dates with several rows each, too far apart to tell when each was."""
+        """Whether several rows share each date, too far apart to tell when each row was sampled."""
         steps = np.diff(self.values) if self.has_dates and not self.increases else np.zeros(0)
         return bool(np.any(steps > 0.0) and np.median(steps[steps > 0.0]) > LONGEST_TICK_S)
 
     @property
     def is_of_axis(self) -> bool:
-        """Whether its name says an axis, and nothing the motor; what is before a point is a drive's
-        part (axis0.encoder), and one in rpm its motor's."""
+        """Whether its name says an axis and not the motor.
+
+        The part before a point names a component of a drive (``axis0.encoder``); rpm is the
+        motor's.
+        """
         called = _AXIS.search(self.stated.bare.rpartition(".")[2]) is not None
         return called and self.stated.unit != "rpm" and not self.is_called(_MOTOR)
 
     @property
     def is_flag(self) -> bool:
-        """Whether it says no more than yes and no."""
+        """Whether it holds only 0 and 1."""
         return bool(np.all(np.isin(self.values, (0.0, 1.0))))
 
     @property
@@ -298,10 +302,10 @@ class _Named:
 
 @np.errstate(over="ignore", invalid="ignore")  # by numbers that are no measurements
 def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
-    """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
+    """Guess the channels of a file, or of one joint if its columns are called ``JOINT/NAME``.
 
-    Raises RecordingError if no column can be time, or time or speed do not hold numbers; if there
-    is no such joint, or several and none was chosen.
+    Raises RecordingError if no column can be time, if time or speed do not hold numbers, if there
+    is no such joint, or if there are several and none was chosen.
     """
     named = _of_joint(table, joint)
     chosen = _by_name(named)
@@ -382,7 +386,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
 
 
 def _no_motor(named: Sequence[_Named]) -> str:
-    """Asks for the motor's column; a column of the joint or load also tells it, by the gear."""
+    """The question for the motor's column; a column of the joint or load will do with the gear
+    ratio."""
     kinds = f"{_NAMES_OF[MOTOR_SPEED]} {_NAMES_OF[MOTOR_POSITION]}"
     behind = (c.name for c in named if c.is_called(_LOAD) and c.is_called(kinds))
     name = next(behind, None)
@@ -390,8 +395,8 @@ def _no_motor(named: Sequence[_Named]) -> str:
 
 
 def _of_joined(guess: Guess, joined: ArrayTable, table: ArrayTable) -> Guess:
-    """Without spare columns that have fewer values than those that are needed: the slowest column
-    sets the times of all."""
+    """The guess without spare columns that have fewer values than the needed ones, because the
+    slowest column sets the times of all."""
     counts = {name: np.isfinite(joined.numbers([name])).sum() for name in joined.columns}
     needed = [counts[c.name] for c in guess.columns if c.needed and c.name in counts]
     columns = [c for c in guess.columns if c.needed or counts[c.name] >= min(needed)]
@@ -401,11 +406,10 @@ def _of_joined(guess: Guess, joined: ArrayTable, table: ArrayTable) -> Guess:
 
 
 def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
-    """The columns of the chosen joint, or of the only one; all of them where no name has a joint.
+    """Columns of the chosen joint or the only one; all columns if no name has a joint.
 
-    What stands before the last slash is the joint and a side of it, as in ``motor/pos``. Only the
-    side tells what a column holds. A ``joint`` is the motor's other side, or else a name. Where no
-    name has a slash, joints may be numbered: ``q_0`` to ``q_6``.
+    The part before the last slash is the joint and a side of it (``motor/pos``); only the side
+    tells what a column holds. Without slashes, joints may be numbered: ``q_0`` to ``q_6``.
     """
     bare = [stated_unit(table, name).bare for name in table.columns]
     groups = [name.rpartition("/")[0] for name in bare]
@@ -451,13 +455,13 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
 
 
 def _without(group: str, sides: str) -> str:
-    """The words of a group but for those of its side, with the numbers at their ends."""
+    """The words of a group without those of its side; numbers at their ends stay."""
     parts = [re.sub(rf"^({sides.replace(' ', '|')})(?=\d*$)", "", p.lower()) for p in _split(group)]
     return " ".join(part for part in parts if part)
 
 
 def _numbers_of_joints(names: Sequence[str]) -> list[str]:
-    """The number in each name that others are alike but for; empty where there are too few."""
+    """The number by which each name differs from similar ones; empty if they are too few."""
     parts = [
         {
             (name[: digits.start()], name[digits.end() :]): digits[0]
@@ -474,11 +478,11 @@ def _numbers_of_joints(names: Sequence[str]) -> list[str]:
 
 
 def _of_ramps(chosen: Mapping[str, _Named]) -> dict[str, _Named]:
-    """Position and torque of ramps to and fro, by their channels; empty where there are none.
+    """Position and torque of torque ramps, by channel; empty if there are none.
 
-    The torque is as large one way as the other. It tells one of two positions better than the other
-    position does: the side that is held follows it, the one that turns lags behind. Beside a speed
-    it hardly turns anything.
+    The torque is about as large in both directions. It explains one of two positions better than
+    the other position does: the held side follows the torque, and the side that turns lags behind.
+    If there is a speed, the joint hardly turns.
     """
     sides = [chosen[c] for c in (MOTOR_POSITION, LOAD_POSITION) if c in chosen]
     torques = [chosen[c] for c in (MOTOR_TORQUE, _LOAD_TORQUE) if c in chosen]
@@ -507,7 +511,7 @@ def _goes_both_ways(torque: FloatArray) -> bool:
 
 
 def _pair_of_positions(named: Sequence[_Named], chosen: Mapping[str, _Named]) -> dict[str, _Named]:
-    """Motor and load among positions that the names do not tell apart: what follows the first one.
+    """Motor and load among positions that their names do not distinguish: one follows the other.
 
     The motor is the one that is called so, or that turns further.
     """
@@ -533,8 +537,10 @@ def _pair_of_positions(named: Sequence[_Named], chosen: Mapping[str, _Named]) ->
 
 
 def _called(sides: Sequence[_Named]) -> list[tuple[bool, bool]]:
-    """Which of two positions is the motor's by their names, the larger; equal where these do not
-    tell. With theta of the motor, q is that of the link."""
+    """How much the names of two positions suggest the motor; equal if they do not tell.
+
+    Beside theta (motor), q is the link.
+    """
     by_words, by_symbols = (
         [(c.is_called(motor), not c.is_called(load)) for c in sides]
         for motor, load in ((_MOTOR, _LOAD), ("theta", "q"))
@@ -544,9 +550,9 @@ def _called(sides: Sequence[_Named]) -> list[tuple[bool, bool]]:
 
 
 def _slope(along: FloatArray, values: FloatArray) -> tuple[float, float]:
-    """How far values, shape (n,), go along others, and the share of their variance this explains.
+    """Slope of values, shape (n,), over others, and the share of their variance that it explains.
 
-    0 and 0 where one of them stands still, or both were not sampled together.
+    Both are 0 if one is constant, or they were not sampled together.
     """
     if along.size != values.size or not (np.isfinite(along).any() and np.isfinite(values).any()):
         return 0.0, 0.0
@@ -559,7 +565,7 @@ def _slope(along: FloatArray, values: FloatArray) -> tuple[float, float]:
 
 
 def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:
-    """Whether there are both positions, and the motor goes to and fro."""
+    """Whether there are both positions, and the motor moves to and fro."""
     if not {MOTOR_POSITION, LOAD_POSITION} <= chosen.keys():
         return False
     motor, load = (chosen[c].positions for c in (MOTOR_POSITION, LOAD_POSITION))
@@ -577,8 +583,8 @@ def _changed(columns: Sequence[GuessedColumn], channel: str, **changes: Any) -> 
 def _of_sides(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named]
 ) -> list[GuessedColumn]:
-    """Needed are the positions; told is where no name says which one is the motor's: two joints, or
-    two counters of different size, may be taken for both sides of one."""
+    """Both positions are needed. A question is added if no name says which is the motor's, because
+    these may be two joints, or two counters of different size."""
     sides = (MOTOR_POSITION, LOAD_POSITION)
     columns = [replace(c, needed=c.channel in (TIME, *sides)) for c in columns]
     if len({*_called([chosen[side] for side in sides])}) > 1:
@@ -593,8 +599,8 @@ def _of_motor(
     chosen: Mapping[str, _Named],
     values: Mapping[str, FloatArray],
 ) -> list[GuessedColumn]:
-    """Needed is the speed, or the position where there is none; doubted is one that is slow
-    for a motor: what ROS calls a joint's velocity is one. What an axis's name says is asked for."""
+    """The speed is needed, or else the position. A speed that is slow for a motor is doubted: ROS
+    logs that of the joint. The unit of an axis is asked for."""
     main = MOTOR_SPEED if any(c.channel == MOTOR_SPEED for c in columns) else MOTOR_POSITION
     columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
     for channel in {MOTOR_SPEED, MOTOR_POSITION} & chosen.keys():
@@ -626,7 +632,8 @@ def _of_motor(
 
 
 def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
-    """A column; ``group``: of its joint, which stands before its own name and may tell a side."""
+    """A column with its words; ``group`` is the part of its name before the slash, which may tell a
+    side."""
     stated = stated_unit(table, name, name.removeprefix(f"{group}/"))
     if stated.unknown and table.timestamps(name) is not None:  # time [hh:mm:ss]
         stated = replace(stated, unknown=None)
@@ -644,14 +651,14 @@ def _split(text: str) -> list[str]:
 
 
 def _words(text: str) -> frozenset[str]:
-    """Words in small letters, without the numbers at their ends, compounds in their parts."""
+    """Words in small letters, without final numbers; compounds are split."""
     text = re.sub(r"\w+\s*=", " ", text)  # of a label, joint="left", the key is none
     words = (re.sub(r"\d+$", "", part.lower()) or part for part in _split(text))
     return frozenset(part for word in words for part in _parts_of(word))
 
 
 def _parts_of(word: str) -> tuple[str, ...]:
-    """A word as a compound of known ones, ``drehzahlistwert``; itself where it is none."""
+    """Parts of a compound of known words (``drehzahlistwert``); otherwise the word itself."""
     if word in _STEMS:
         return (word,)
     if re.fullmatch("(q|w|theta|phi|omega)[ml]", word):  # a symbol and the index of its side
@@ -664,7 +671,7 @@ def _parts_of(word: str) -> tuple[str, ...]:
 
 
 def _channel(column: _Named) -> str | None:
-    """The channel that a column may be: by a unit in brackets first, then by its words."""
+    """The likely channel of a column, by a unit in brackets first, then by its words."""
     if column.name in (TIME, *CHANNELS):
         return column.name
     unit = column.stated.unit
@@ -698,7 +705,7 @@ def _channel(column: _Named) -> str | None:
 def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
     """The likeliest column of each channel: named exactly, else the motor's, else the first.
 
-    A filtered one comes last; so does a single letter, which may number the samples: ``i``, ``n``.
+    Filtered columns come last, as do single letters (``i``, ``n``), which may count samples.
     """
     chosen: dict[str, _Named] = {}
     exact = (TIME, *CHANNELS)
@@ -729,7 +736,7 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
 def _stated(
     channel: str, column: _Named, suggested: Mapping[str, tuple[str, str]] | None = None
 ) -> GuessedColumn:
-    """With the unit that the file states, else with what the numbers suggest, and why."""
+    """The guess with the unit that the file states, else with the one that the numbers suggest."""
     stated = column.stated.of(channel)
     if stated.unknown:
         units = choice_of_units(channel)
@@ -752,7 +759,7 @@ def _stated(
 
 
 def _readings(channel: str, column: _Named) -> str:
-    """What a speed would be in the units in which it is a motor's."""
+    """What a speed would be in each unit in which it is plausible for a motor."""
     if channel != MOTOR_SPEED or not np.isfinite(column.values).any():
         return ""
     mean = float(np.nanmean(np.abs(column.values)))
@@ -766,7 +773,7 @@ def _readings(channel: str, column: _Named) -> str:
 def _units(
     chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> dict[str, tuple[str, str]]:
-    """Channel to (unit, reason), where the numbers show it."""
+    """Channel to (unit, reason), as far as the numbers show it."""
     units: dict[str, tuple[str, str]] = {}
     time = _time_unit(chosen[TIME])
     if time is not None:
@@ -784,10 +791,11 @@ def _units(
 def _of_position(
     chosen: Mapping[str, _Named], time: str, seconds: FloatArray, speed: FloatArray
 ) -> dict[str, tuple[str, str]]:
-    """Units in which the position's derivative is the speed, both of shape (n,); in units that the
-    file states, whether the time's, a guess, is off by a power of ten.
+    """Units in which the position's derivative is the speed; both have shape (n,).
 
-    None where several pairs agree alike: turns and turns per second do where rad and rad/s do.
+    With units that the file states, the guessed unit of time may be wrong by a power of ten.
+    Nothing is returned if several pairs agree equally: turns and turns per second do if rad and
+    rad/s do.
     """
     known = np.isfinite(seconds) & np.isfinite(speed)
     at, along = seconds[known], np.full(seconds.shape, np.nan)
@@ -826,7 +834,7 @@ def _possible(channel: str, column: _Named) -> Sequence[str]:
 
 
 def _time_unit(column: _Named) -> tuple[str, str] | None:
-    """The unit in which stamps are of these years, or else have a usual rate, if it is one."""
+    """The unit in which stamps are dates of these years, or have a usual sampling rate."""
     if column.stamps is not None:
         return "datetime", "holds dates"
     if _stated(TIME, column).sure:
@@ -862,8 +870,7 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
 
 
 def _as_long(clock: _Named, dates: _Named, units: Iterable[str] = ()) -> list[str]:
-    """Units, these and the usual ones, in which a time of numbers lasts as long as dates do, to
-    within a step of theirs."""
+    """Units in which a numeric time lasts as long as dates do, to within one of their steps."""
     if clock.stamps is not None:
         return []
     steps, own = (np.diff(c.values[np.isfinite(c.values)]) for c in (dates, clock))
@@ -874,8 +881,8 @@ def _as_long(clock: _Named, dates: _Named, units: Iterable[str] = ()) -> list[st
 
 
 def _unlike_dates(clock: _Named, beside: Sequence[_Named], guesses: Sequence[GuessedColumn]) -> str:
-    """Asks for a unit in which a time of numbers is as long as the dates beside it, if in its own
-    it is not, or that is not known."""
+    """A question if a numeric time is longer or shorter than the dates beside it, or its unit
+    unknown."""
     unit = next(c.unit for c in guesses if c.channel == TIME)
     dates = next((c for c in beside if c.has_dates), None)
     if dates is None or clock.stamps is not None:
@@ -892,7 +899,8 @@ def _unlike_dates(clock: _Named, beside: Sequence[_Named], guesses: Sequence[Gue
 
 
 def _series(column: _Named) -> FloatArray:
-    """Values of a column that every recording needs, shape (n,): it is refused without two."""
+    """Values of a column that every recording needs, shape (n,); refused with fewer than two
+    numbers."""
     if (count := int(np.isfinite(column.values).sum())) < 2:
         if column.stamps is None:
             stamps_and_values(column.table, column.name)  # says where a text is

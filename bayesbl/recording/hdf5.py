@@ -1,8 +1,8 @@
-"""The gate of every HDF5 file (MATLAB v7.3, NetCDF 4, our results): it holds all that it shows.
+"""Check that an HDF5 file (MATLAB v7.3, NetCDF 4, our results) holds all that it refers to.
 
-HDF5 may name other files (links, raw storage, virtual datasets), lead in circles, ask for filters
-from a folder of plug-ins, and declare any size without storing it. Libraries follow all that as
-they open or read a file, so its structure is walked first, with calls that follow nothing.
+HDF5 may refer to other files (links, external storage, virtual datasets), contain cycles, load
+filters from a plug-in folder, and declare any size without storing it. Libraries follow all this
+when they open or read a file. So its structure is first walked with calls that follow nothing.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Any
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SIGNATURES = tuple((at, SIGNATURE) for at in (0, 512, 1024, 2048))
-"""At which bytes it may stand, after a block of the writer's own."""
+"""Possible positions of the signature, after a block of the writer's own."""
 
 _OWN_FILTERS = range(1, 7)
-"""HDF5's own (deflate, shuffle, fletcher32, szip, nbit, scaleoffset); all others are libraries that
-it looks for in a folder and runs."""
+"""Built-in filters (deflate, shuffle, fletcher32, szip, nbit, scaleoffset). HDF5 looks for others
+in a folder and runs them."""
 
 _DEEPEST = 32
 
@@ -28,13 +28,13 @@ def require_whole(
     content: bytes | Path,
     refusal: Callable[..., Exception],
 ) -> float:
-    """Bytes that reading a file takes, by what it declares.
+    """Number of bytes that reading the file takes, by the sizes that it declares.
 
-    Of every dataset all values, or one chunk where that is larger: either is allocated whole.
-
-    ``refusal``: makes the error for the first object that is not stored in the file itself, once,
-    without foreign filters; takes what a :class:`bayesbl.errors.UserError` takes. Raises OSError,
-    RuntimeError, ValueError: h5py's, for a damaged file.
+    Each dataset counts with all its values, or one chunk if that is larger, as either is allocated
+    whole. ``refusal`` makes the error for the first object that is not stored in the file itself,
+    is stored twice, or needs a foreign filter; it takes the arguments of
+    :class:`bayesbl.errors.UserError`. For damaged files, h5py raises OSError, RuntimeError or
+    ValueError.
     """
     import h5py
 

@@ -1,4 +1,4 @@
-"""The content of input files: of regular files only, and of none above a stated size."""
+"""Read input files: regular files only, and none above a stated size."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from bayesbl.errors import RecordingError, UnavailableError, UserError
 from bayesbl.recording.channels import did_you_mean_file
 
 LIMIT_VARIABLE = "BAYESBL_RECORDING_MEMORY_MB"
-"""Environment variable that raises or lowers :data:`MEMORY_MB`: the one setting for all formats."""
+"""Environment variable that replaces :data:`MEMORY_MB`, for all formats."""
 
 MEMORY_MB = 2000.0
-"""What reading one recording may take, whatever its format: its bytes, and what they unpack to."""
+"""Memory that reading one recording may take: its bytes, and what they unpack to."""
 
 PACKED = ".gz"
 
 
 def read_input(path: Path) -> bytes:
-    """The bytes of a regular file; nothing else is read, as it may wait or have no end.
+    """Bytes of a regular file; anything else might block or never end.
 
-    Raises OSError if it cannot be read, with a ``strerror`` that says why: also what is no regular
-    file, and what is larger than the limit, and ValueError if the path has a NUL.
+    Raises OSError, with a ``strerror``, if the file cannot be read, is not regular or above the
+    limit, and ValueError if the path contains a NUL.
     """
     mode = os.stat(path).st_mode
     if not stat.S_ISREG(mode):  # not even opened: a socket cannot be, a pipe waits for its writer
@@ -46,10 +46,9 @@ def read_input(path: Path) -> bytes:
 
 
 def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> bytes:
-    """The bytes of a file that a user names, as :func:`read_input` reads them.
+    """Bytes of a file that a user names.
 
-    Raises refusal if there is no such file, or it cannot be read; ``expected`` says what it should
-    be.
+    Raises ``refusal``, with ``expected``, if there is no such file or it cannot be read.
     """
     try:
         return read_input(path)
@@ -61,17 +60,17 @@ def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> byt
 
 
 def require_memory(file: Path, size: float, what: str = "its content, unpacked") -> None:
-    """Refuse a recording that would take more than the limit, before anything is allocated.
+    """Refuse a recording above the limit before anything is allocated.
 
-    ``size``: in bytes, as far as the file declares it. ``what``: what takes them, for the message.
-    Raises RecordingError if the size is above the limit.
+    ``size`` is in bytes, as the file declares it; ``what`` names the content in the message. Raises
+    RecordingError.
     """
     if size > memory_bytes():
         raise beyond_memory(file, f"{size / 1e6:.5g} MB ({what})")
 
 
 def beyond_memory(file: Path, actual: str) -> UnavailableError:
-    """The refusal of a recording that takes more memory than the limit."""
+    """The error for a recording that takes more memory than the limit."""
     return UnavailableError(
         "Reading this file takes too much memory.",
         file=file,
@@ -82,7 +81,7 @@ def beyond_memory(file: Path, actual: str) -> UnavailableError:
 
 
 def memory_bytes() -> int:
-    """The limit in bytes; ``OSError`` if the environment states no number."""
+    """The limit in bytes. Raises OSError if the environment variable is not a number."""
     stated = os.environ.get(LIMIT_VARIABLE, "")
     try:
         limit = float(stated) if stated else MEMORY_MB
@@ -94,20 +93,20 @@ def memory_bytes() -> int:
 
 
 def suffix_of(path: Path) -> str:
-    """The suffix that says what a file holds, in small letters: ``.csv`` of ``ramps.csv.gz``."""
+    """Suffix of the content in small letters: ``.csv`` for ``ramps.csv.gz``."""
     packed = path.suffix.lower() == PACKED
     return (Path(path.stem) if packed else path).suffix.lower()
 
 
 def stem_of(path: Path) -> str:
-    """The file's name without the suffixes of what it holds and how it is packed."""
+    """File name without the suffixes of content and packing."""
     return Path(path.stem).stem if path.suffix.lower() == PACKED else path.stem
 
 
 def unpacked(path: Path, data: bytes) -> bytes:
-    """The bytes of a file as they were before gzip, where its name says that it is packed.
+    """The bytes, unpacked if the file name ends in ``.gz``.
 
-    Raises RecordingError if it is damaged, or larger than the limit once unpacked.
+    Raises RecordingError if they are damaged, or unpack to more than the limit.
     """
     if path.suffix.lower() != PACKED:
         return data
@@ -126,11 +125,11 @@ def unpacked(path: Path, data: bytes) -> bytes:
 
 
 def of_two(data: bytes, other: bytes) -> bytes:
-    """A file's bytes, those of the one that belongs to it, and where the first end."""
+    """The bytes of two files, with the length of the first at the end."""
     return data + other + len(data).to_bytes(8, "big")
 
 
 def two_of(joined: bytes) -> tuple[bytes, bytes]:
-    """What :func:`of_two` joined."""
+    """Split what :func:`of_two` joined."""
     end = int.from_bytes(joined[-8:], "big")
     return joined[:end], joined[end:-8]

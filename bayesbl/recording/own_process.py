@@ -1,10 +1,9 @@
-"""A file is parsed in a process of its own: a library that crashes, hangs or takes all memory on it
-costs that file alone.
+"""Parse a file in a process of its own, so that a library that crashes, hangs or takes all memory
+spoils only that file.
 
-A fresh interpreter, not a fork: the program may have threads of numba, Arrow or Dask, whose state a
-fork would copy half way, and ``multiprocessing`` is closed to Dask's workers and runs the user's
-script again. The file's bytes go in by a pipe, so the child opens no path, and columns come back
-by a file that has no name.
+The process is a fresh interpreter. A fork would copy the state of threads of numba, Arrow or Dask;
+``multiprocessing`` is not allowed in Dask's workers, and runs the user's script again. Bytes go in
+through a pipe, so the child opens no path; columns come back through an unnamed file.
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
 
 LONGEST_S = 120.0
-"""A file that takes longer to parse is refused. A workbook of a million lines takes a minute."""
+"""Longest time to parse a file. A workbook of a million lines takes a minute."""
 
 SPARE_MB = 700.0
-"""Of memory for the libraries themselves, beside the limit of one recording."""
+"""Memory for the libraries themselves, on top of the limit."""
 
 _PROGRAM = (
     "import json, sys; request = json.loads(sys.argv[1]); sys.path[:] = request['path'];"
@@ -43,16 +42,16 @@ _PROGRAM = (
 )
 _WHOLE = "a whole {kind} file; save it again, or as CSV"
 _IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
-"""What libraries call a file by that they were given in memory."""
+"""Name that libraries give to a file in memory."""
 
 _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
 
 
 def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable:
-    """What ``format_.read`` makes of a file's bytes, in a process of its own.
+    """The result of ``format_.read``, called in a process of its own.
 
-    Raises RecordingError: what the format raises; or if the process dies, takes longer than
-    :data:`LONGEST_S`, or more memory than the limit.
+    Raises RecordingError as the format does, or if the process dies, or takes longer than
+    :data:`LONGEST_S` or more memory than the limit.
     """
     request = {
         "path": [str(path) for path in sys.path],
@@ -100,7 +99,8 @@ def _broken(kind: str, file: Path, status: int) -> RecordingError:
 
 
 def answer(request: dict[str, object]) -> None:
-    """The child's part: bytes from standard input, a table or an error to standard output."""
+    """The child's part: read bytes from standard input, write a table or an error to standard
+    output."""
     stream = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no part of the answer
     with suppress(ValueError):
@@ -143,7 +143,7 @@ _NAMED = ("file", "units", "clocks", "withheld", "repairs", "one_origin")
 
 
 def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
-    """A text of JSON and the columns as NumPy saves them: what comes back is never unpickled."""
+    """Write JSON and NumPy arrays; the parent unpickles nothing."""
     import numpy as np
 
     if isinstance(result, UserError):
@@ -170,7 +170,7 @@ def _received(stream: IO[bytes]) -> ArrayTable:
 
 
 def _limit(size: int) -> None:
-    """No more data than ``size`` bytes, and an end of its own should the parent have died."""
+    """Limit the memory for data to ``size`` bytes, and the time in case the parent has died."""
     import resource
 
     for what, most in ((resource.RLIMIT_DATA, size), (resource.RLIMIT_CPU, int(2 * LONGEST_S))):

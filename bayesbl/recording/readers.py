@@ -1,7 +1,6 @@
-"""From a file to a :class:`Recording`: columns mapped, units converted, the file checked.
+"""Read a file as a :class:`Recording`: map columns, convert units, check the file.
 
-Only what any task needs is checked here; rotations, sampling and the like are in
-:mod:`bayesbl.recording.checks`.
+Only checks that every task needs are here; the others are in :mod:`bayesbl.recording.checks`.
 """
 
 from __future__ import annotations
@@ -53,14 +52,14 @@ POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
 REFERENCES = (REFERENCE_SPEED, REFERENCE_POSITION)
 
 MINIMUM_SAMPLES = 16
-"""Fewer samples than this are no recording, whatever the task."""
+"""Fewer samples are no recording for any task."""
 
 LATEST_START_S = 1e6
-"""Time that begins later, as seconds since 1970 do, is counted from its first stamp."""
+"""A time that begins later, such as seconds since 1970, is counted from its first stamp."""
 
 
 NO_MEASUREMENT = 1e15
-"""In whatever unit: what diverged, or marks a missing value."""
+"""Larger numbers, in any unit, diverged or mark missing values."""
 
 
 @checked
@@ -168,10 +167,8 @@ def read_recording(
 
 
 def read_table(path: str | Path) -> ArrayTable:
-    """The columns of a file, before anything is mapped.
-
-    Raises RecordingError if the file cannot be read or is no table.
-    """
+    """Columns of a file before any mapping. Raises RecordingError if the file is not a readable
+    table."""
     path = Path(path)
     return _parsed(path)[0]
 
@@ -179,9 +176,9 @@ def read_table(path: str | Path) -> ArrayTable:
 def _values(
     table: ArrayTable, time_column: Column, others: Sequence[Column]
 ) -> tuple[FloatArray, FloatArray]:
-    """Time in the file's own unit, shape (n,), and channels in theirs, shape (n, c).
+    """Time in the file's unit, shape (n,), and channels in their own units, shape (n, c).
 
-    What is missing, not finite or larger than anything measured is NaN.
+    Missing, infinite and impossibly large values are NaN.
     """
     names = [column.name for column in others]
     table.samples_of([time_column.name, *names])
@@ -218,7 +215,7 @@ def _wrong_time_unit(
 def _seconds(
     table: ArrayTable, column: Column, time: FloatArray, rows: NDArray[np.int64]
 ) -> FloatArray:
-    """Time of the rows, in seconds; a late start is taken off."""
+    """Time of the rows in seconds; a late start is subtracted."""
     backward = np.flatnonzero(time[1:] <= time[:-1])
     if backward.size:
         row = int(backward[0]) + 1
@@ -287,7 +284,7 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
 
 
 def _beside(path: Path, places: Sequence[str]) -> bytes:
-    """The bytes of the file that belongs to a recording; none where there is no such file."""
+    """Bytes of the file that belongs to a recording; empty if there is none."""
     folder = glob.escape(str(path.parent))
     for place in places:
         found = sorted(glob.glob(f"{folder}/{place.format(stem=glob.escape(stem_of(path)))}"))

@@ -1,13 +1,12 @@
-"""What is put right in every recording, whatever its format.
+"""Repairs of every recording, whatever its format.
 
-Repairs that lose nothing are made only where the numbers leave one reading, and are counted; the
-reader tells all of them in one note. What is ambiguous, or would lose or make up samples, stays as
-it is and is refused by the place that it is at.
+A repair that loses nothing is made only if the numbers allow one reading. It is counted, and one
+note lists all repairs. Anything ambiguous, or that would lose or invent samples, is refused with
+its place.
 
-Lost samples, found as NaN or as holes in time, are bridged where that is safe, else refused. A
-bridged sample keeps the sampling even, so that later steps can count in samples, and is marked as
-excluded, so that a fit does not use it as a measurement. Stamps that are not evenly spaced are
-brought to an even grid.
+Short losses (NaN, or holes in time) are bridged if that is safe. Bridged samples keep the sampling
+even, so that later steps can count samples, and are marked as excluded from the fit. Uneven stamps
+are brought to an even grid.
 """
 
 from __future__ import annotations
@@ -25,39 +24,40 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.types import BoolArray, FloatArray, Recording
 
 LONGEST_LOSS_S = 0.1
-"""Half the ringing of an impact: a longer loss could hide one but for its ends."""
+"""Half the ringing of an impact: a longer loss could hide all but its ends."""
 
 MOST_LOST = 0.05
-"""Largest share of lost samples. With more, the logger is at fault."""
+"""Largest share of lost samples; with more, the logger is at fault."""
 
 MOST_CUT = 0.5
-"""Of all samples, at the ends: with more, little of what was meant to be recorded is there."""
+"""Largest share cut off at the ends; with more, little of the recording is left."""
 
 GRID_TOLERANCE = 0.45
-"""Largest distance of a time stamp from its point of an even grid, in sampling periods."""
+"""Largest distance of a stamp from its point of an even grid, in sampling periods."""
 
 MOST_SPARED = 2.5
-"""Samples of the fastest column for one of the slowest, up to which the slowest sets the times."""
+"""Largest ratio of sample counts at which the slowest column sets the times."""
 
 HOLE = 3.0
-"""Usual steps of a column, over which nothing is known between two of its values."""
+"""Multiple of a column's usual step, above which nothing is known between two values."""
 
 _MOST_GROWTH = 100
-"""A recording with holes longer than this many times its samples counts as uneven."""
+"""A recording whose holes make it longer than this multiple counts as uneven."""
 
 _GRID_BEGINS, _FOLLOWED = 21, 0.05
-"""Stamps that begin a running grid, and share of each stamp's distance that it follows: it scatters
-by a sixth of what they do, and keeps up with a period that is wrong by a hundredth."""
+"""Stamps at the start of a running grid, and share of each stamp's distance that the grid follows.
+It scatters by a sixth of the stamps' scatter, and follows a period that is wrong by one per cent.
+"""
 
 IntArray = NDArray[np.int64]
 
 Place = Callable[[int, int | None], str]
-"""Where a value is in the file, by row and column; ``None`` for the column of time."""
+"""Place of a value in the file by row and column; ``None`` for the time column."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bridged:
-    """Samples on an even grid as far as time allows; shapes (n,), (n, c) and (n,)."""
+    """Samples on an even grid as far as possible; shapes (n,), (n, c) and (n,)."""
 
     time_s: FloatArray
     values: FloatArray
@@ -66,10 +66,10 @@ class Bridged:
 
 
 def deviation_from_grid(time_s: FloatArray, number: FloatArray) -> tuple[FloatArray, float]:
-    """Distance of time stamps from the least-squares line over sample number, and its slope.
+    """Distance of stamps from their least-squares line over sample numbers, and its slope.
 
-    The distance, shape (n,), is in sampling periods. Stamps rounded to a resolution r lie within
-    r/2 of the line, however long the recording.
+    The distance, shape (n,), is in sampling periods. Stamps rounded to a resolution r are within
+    r/2 of the line, for any length.
     """
     time: FloatArray = time_s - time_s.mean()
     centred = number - number.mean()
@@ -80,10 +80,10 @@ def deviation_from_grid(time_s: FloatArray, number: FloatArray) -> tuple[FloatAr
 
 
 def sample_numbers(time_s: FloatArray) -> FloatArray | None:
-    """Which sample of an even grid each time stamp is, shape (n,); numbers are left out at holes.
+    """Number of each stamp on an even grid, shape (n,); numbers are skipped at holes.
 
-    ``None`` if the stamps lie on no even grid. Where they do without a hole, that is the answer:
-    1 kHz that lost every fifth sample and 800 Hz rounded to 1 ms are the same numbers.
+    ``None`` if the stamps are not on an even grid. A grid without holes is preferred, because 1 kHz
+    that lost every fifth sample and 800 Hz rounded to 1 ms are the same numbers.
     """
     whole = np.arange(time_s.size, dtype=float)
     if np.abs(deviation_from_grid(time_s, whole)[0]).max() <= GRID_TOLERANCE:
@@ -104,7 +104,7 @@ def sample_numbers(time_s: FloatArray) -> FloatArray | None:
 
 
 def _on_a_running_grid(time_s: FloatArray, period: float) -> FloatArray:
-    """Counted from a grid that follows the stamps: two stamps are off by more than either is."""
+    """Numbers counted on a grid that follows the stamps; differences of two stamps scatter more."""
     number = np.full(time_s.size, np.nan)
     if not 0.0 < period < math.inf:
         return number
@@ -123,10 +123,11 @@ def _on_a_running_grid(time_s: FloatArray, period: float) -> FloatArray:
 def at_shared_times(
     time_s: FloatArray, values: FloatArray, repairs: Counter[str], *, even: bool
 ) -> tuple[IntArray, FloatArray]:
-    """Rows to keep, and all values, where columns have times of their own, each a row.
+    """Rows to keep, and all values, if columns have times of their own and each row is one of
+    these.
 
-    The times are those of the column with the fewest; others get straight lines between their
-    values. Of even samples no more than :data:`MOST_SPARED` times as many are given up for it.
+    The column with the fewest values sets the times; the others are interpolated linearly. If
+    samples must be even, this holds up to a ratio of :data:`MOST_SPARED`.
     """
     there = ~np.isnan(values)
     whole, some, counts = there.all(axis=1), there.any(axis=1), there.sum(axis=0)
@@ -145,7 +146,7 @@ def at_shared_times(
 
 
 def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
-    """The samples that have a value in every column; arguments as :func:`bridge` takes them."""
+    """Samples with a value in every column; arguments as of :func:`bridge`."""
     whole = ~np.isnan(values).any(axis=1)
     lost = int(np.sum(~whole))
     if whole.sum() < 2:
@@ -157,12 +158,10 @@ def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Plac
 def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
     """Bridge short runs of lost samples by straight lines.
 
-    Samples lost at either end are cut off, up to half of all: a sensor may wake up late.
-
-    ``time_s``: shape (n,), strictly increasing. ``values``: shape (n, c); NaN where a value is
-    missing. No column is all NaN. Raises RecordingError if a run is longer than
-    :data:`LONGEST_LOSS_S`, more than :data:`MOST_LOST` of all samples are lost, or more than
-    :data:`MOST_CUT` at the ends. The message says where.
+    Lost samples at the ends are cut off, up to half of all, because a sensor may wake up late.
+    ``time_s``, shape (n,), increases strictly; ``values``, shape (n, c), are NaN where missing.
+    Raises RecordingError, with the place, if a run is longer than :data:`LONGEST_LOSS_S`, or more
+    than :data:`MOST_LOST` of all samples (:data:`MOST_CUT` at the ends) are lost.
     """
     whole = ~np.isnan(values).any(axis=1)
     kept = np.flatnonzero(whole)
@@ -255,10 +254,10 @@ UNEVEN_STAMPS = "Its samples are not evenly spaced: an even grid was made by the
 
 
 def even(recording: Recording, tolerance: float, harmless_s: float = 0.0) -> Recording:
-    """The recording on the even grid nearest to its time stamps, by cubic splines.
+    """The recording on the even grid nearest to its stamps, by cubic splines.
 
-    As it is, but for its stamps, where none departs by more than ``tolerance`` periods, or all by
-    ``harmless_s`` in the root mean square.
+    Values are unchanged if no stamp deviates by more than ``tolerance`` periods, or all by less
+    than ``harmless_s`` RMS.
     """
     number = np.arange(recording.samples, dtype=np.float64)
     deviation, period_s = deviation_from_grid(recording.time_s, number)
@@ -279,7 +278,7 @@ def even(recording: Recording, tolerance: float, harmless_s: float = 0.0) -> Rec
 
 
 def widened(excluded: BoolArray | None, samples: int) -> BoolArray | None:
-    """A mask with so many samples more on either side of what it marks, shape (n,)."""
+    """A mask, shape (n,), widened by this number of samples on either side."""
     if excluded is None or not excluded.any():
         return None
     from scipy.ndimage import binary_dilation
@@ -288,33 +287,31 @@ def widened(excluded: BoolArray | None, samples: int) -> BoolArray | None:
 
 
 MOST_DISPLACED = 0.05
-"""Share of rows out of order, up to which they are sorted: more are two recordings in one file."""
+"""Largest share of rows out of order that are sorted; more are two recordings in one file."""
 
 SHARED_STAMPS = 0.05
-"""Share of stamps that repeat the one before, from which on the clock is coarse; fewer are an error
-in the file."""
+"""Share of repeated stamps from which the clock is coarse; fewer are an error in the file."""
 
 LONGEST_TICK_S = 0.1
-"""A coarser clock says too little of when its samples were taken. Those of computers tick in
-15.6 ms or less."""
+"""Longest tick of a usable clock. Clocks of computers tick in 15.6 ms or less."""
 
 _COUNTERS = (2.0**16, 2.0**24, 2.0**32)
 _WORDS = (2.0**16, 2.0**32)
 _DAY_S = 86400.0
 _POWERS = tuple(2.0**bits for bits in range(8, 33))
-"""At which counts positions begin again, beside a turn."""
+"""Counts at which positions wrap, besides a turn."""
 
 _SLOWEST = 20
-"""Samples from one new value to the next, up to which a slower rate is looked for."""
+"""Largest number of samples between new values at which a slower rate is sought."""
 
 _ENOUGH = 1_000_000
-"""Samples that tell it, of a longer recording."""
+"""Samples of a long recording that this search uses."""
 
 _FEWEST_LEVELS = 12
-"""Different values of a signal whose largest or smallest may be a stray."""
+"""Fewest different values of a signal whose largest or smallest may be a stray."""
 
 _ELSEWHERE = 0.05
-"""Share of the change at new values that may be between them, where these are made up."""
+"""Largest share of the change that may occur between new values."""
 
 
 def mended_clock(
@@ -325,15 +322,13 @@ def mended_clock(
     *,
     even: bool = True,
 ) -> tuple[IntArray, FloatArray]:
-    """Which rows are kept, in the order of time, and their time in the unit of the stamps.
+    """Rows to keep in the order of time, and their time in the unit of the stamps.
 
-    Counters that begin again are continued, exact repeats dropped, single rows sorted, and the
-    samples of a coarse clock spread by the line that fits all of them.
-
-    ``stamps``, ``values``: shapes (n,), finite, and (n, c). ``factor``: seconds in the unit of the
-    stamps. ``repairs``: gains what was done and how many times. ``even``: whether samples are to be
-    even in time. Then a single stamp that repeats the one before is an error in the file; else its
-    sample came before the next stamp, which is all that counts.
+    Counters that wrap are continued, exact repeats are dropped, single rows are sorted, and the
+    samples of a coarse clock are spread. ``stamps``: shape (n,), finite; ``values``: (n, c);
+    ``factor``: seconds per unit. ``repairs`` counts what was done. If samples must be ``even``, a
+    single repeated stamp is an error in the file; otherwise the sample counts as earlier than the
+    next stamp.
     """
     stamps = _continued(stamps, factor, repairs)
     order = _in_order(stamps, values, repairs)
@@ -359,7 +354,7 @@ def _continued(stamps: FloatArray, factor: float, repairs: Counter[str]) -> Floa
 
 
 def _in_order(stamps: FloatArray, values: FloatArray, repairs: Counter[str]) -> IntArray:
-    """Rows by time without exact repeats; as they are where that does not make an even clock."""
+    """Rows by time without exact repeats; unchanged if that does not give an even clock."""
     rows = np.arange(stamps.size)
     steps = np.diff(stamps)
     if np.all(steps > 0.0):
@@ -386,7 +381,7 @@ def _in_order(stamps: FloatArray, values: FloatArray, repairs: Counter[str]) -> 
 
 
 def _spread(time: FloatArray, factor: float, repairs: Counter[str], *, even: bool) -> FloatArray:
-    """Samples of a coarse clock on the line through all of them, or evenly within its ticks."""
+    """Spread the samples of a coarse clock along the line through all, or evenly within ticks."""
     steps = np.diff(time)
     is_coarse = np.mean(steps == 0.0) >= SHARED_STAMPS
     if np.any(steps < 0.0) or not np.any(steps == 0.0) or (even and not is_coarse):
@@ -423,9 +418,10 @@ def _spread(time: FloatArray, factor: float, repairs: Counter[str], *, even: boo
 
 
 def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
-    """Values (n, c) of a log on change with each cell that is empty as the last one above it.
+    """Fill the empty cells of values (n, c) of a log on change with the last value above.
 
-    A log on change writes no value twice in a row, and at no even rate; other files lost samples.
+    Such a log never writes a value twice in a row, and at no even rate; other files have lost
+    samples.
     """
     missing = np.isnan(values)
     if not missing.any():
@@ -450,16 +446,16 @@ def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
 
 
 def filled(values: FloatArray) -> FloatArray:
-    """Values, shape (n,), with straight lines over the rows that lack one."""
+    """Values, shape (n,), with missing ones interpolated linearly."""
     rows = np.flatnonzero(np.isfinite(values))
     return np.interp(np.arange(values.size), rows, values[rows])
 
 
 def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:
-    """A position, shape (n,), that goes on where it began again at the end of a turn.
+    """Continue a position, shape (n,), over its wraps at the end of a turn.
 
-    ``unit``: the file's, in that of the position. As it is where its jumps are no turn of any unit
-    or counter.
+    ``unit`` is the size of the file's unit. The position is unchanged if its jumps are no turn of
+    any unit or counter.
     """
     there = np.isfinite(position)
     values = position[there]
@@ -489,10 +485,10 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
 
 
 def signed(values: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:
-    """Values, shape (n,), with the signs of whole numbers that were written as unsigned words.
+    """Restore the signs of whole numbers, shape (n,), that were written as unsigned words.
 
-    Of -300 bus servos make 33068, with the sign in the highest bit of 16, others the complement
-    65236. Either leaves numbers near 0 and near half or all of the word, and none between them.
+    A bus servo writes −300 as 33068 (sign in the highest of 16 bits) or as 65236 (complement).
+    Numbers are then near 0 and near half or all of the word, with none between.
     """
     there = np.isfinite(values)
     written = values[there] / unit
@@ -515,10 +511,11 @@ def signed(values: FloatArray, unit: float, repairs: Counter[str], name: str) ->
 
 
 def without_strays(values: FloatArray, repairs: Counter[str], name: str) -> str:
-    """Take values, shape (n,), out that lie farther from all others than these from one another.
+    """Replace values, shape (n,), by NaN that are farther from all others than these from one
+    another.
 
-    They become NaN. A signal jumps to such a rail (a dropout to 0, an overflow to 65535) and says
-    nothing there; a limit that cuts peaks off is next to other values. Which they were, in words.
+    A signal jumps to such a rail in a dropout (0) or an overflow (65535). The limit of a clipped
+    signal is next to other values. Returns the rails in words.
     """
     strays: list[float] = []
     # Both ends may have one; a third value would be noise of another kind.
@@ -535,11 +532,10 @@ def without_strays(values: FloatArray, repairs: Counter[str], name: str) -> str:
 
 
 def new_values(speed: FloatArray) -> tuple[slice, str] | None:
-    """Which samples of an evenly sampled speed are new, where the recorder made up those between,
-    and a note that says so.
+    """Samples at which an evenly sampled speed has new values, and a note; ``None`` if all are new.
 
-    The recorder repeated the last new value (the first differences vanish but at every kth sample)
-    or drew a line from one to the next (the second do). ``None`` where all are new.
+    A recorder may repeat the last value (first differences vanish but at every kth sample) or
+    interpolate (second differences do).
     """
     for order, how in ((1, "repeated"), (2, "interpolated")):
         change = np.abs(np.diff(speed[:_ENOUGH], order))
@@ -559,6 +555,6 @@ def new_values(speed: FloatArray) -> tuple[slice, str] | None:
 
 
 def told(repairs: Counter[str]) -> tuple[str, ...]:
-    """All repairs in one sentence with their counts."""
+    """All repairs with their counts, in one sentence."""
     made = [f"{count} × {what}" for what, count in repairs.items() if count > 0]
     return (f"Put right while reading: {'; '.join(made)}.",) if made else ()

@@ -1,7 +1,7 @@
-"""After what time a recording at constant speed repeats, by the recording alone.
+"""The period after which a recording at constant speed repeats, from the recording alone.
 
-Speed, gear ratio and the recorder's clock say when the load has turned once. So do the impacts, far
-more sharply, and whichever of the three is a little off shows in the difference.
+Speed, gear ratio and the recorder's clock state when the load has turned once. The impacts show it
+far more sharply, so a small error of one of the three is visible as a difference.
 """
 
 from __future__ import annotations
@@ -18,43 +18,42 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 WITHIN = 0.02
-"""Of the period stated, where it is sought. The ringing looks much like itself one of its own
-periods later too, 1.4 % of a rotation on the reference bench, but never as much as a turn later."""
+"""Relative range of the search. The ringing resembles itself after one of its own periods (1.4 % of
+a rotation on the reference bench), but never as closely as after a turn."""
 
 STEP = 0.05
-"""Between periods that are tried, in samples; the lowest is refined by a parabola."""
+"""Step between tried periods, in samples; a parabola refines the best one."""
 
 MOTOR_ORDERS = 12
 SWELLS = 2
-"""Orders of the motor that are taken out first, as they do not repeat with the load's turn, and
-orders of the load to either side: such lines swell and ebb with gravity."""
+"""Motor orders that are removed first, because they do not repeat with the load, and load orders on
+either side, because gravity modulates these lines."""
 
 SMOOTHED = 15
-"""Neighbouring orders of a rotation over which its spectrum is averaged: of ringing that has died
-away in a fifteenth of a rotation they are alike."""
+"""Neighbouring orders over which spectra are averaged; ringing that decays within a fifteenth of a
+rotation has similar ones."""
 
 STANDS_OUT = 6.0
-"""Standard deviations by which what repeats must stand out of the noise at an order to count."""
+"""Standard deviations above noise at which the repeating part of an order counts."""
 
 SPREAD_OF_MEDIAN = 1.25
 """Standard deviation of the median of many normal values over that of their mean."""
 
 PLACES = 24
-"""Parts of a rotation that a gain is told apart in: impacts are in a few, what goes on all the time
-in all of them."""
+"""Parts of a rotation: impacts are in a few, steady lines in all."""
 
 LOWEST_BINS = 6
-"""Of a rotation's spectrum, by which noise of the mean speed is judged."""
+"""Lowest orders, which determine the noise of the mean speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
     """How a recording repeats.
 
-    ``gain``: χ² by which impacts agree better after this period than after the one stated. 0 where
-    what gains goes on all the time, as a line of the motor does, and where no impacts stand out of
-    the noise: gravity's wave alone tells the period to a few thousandths. ``mean_rpm``: over whole
-    periods, without sign, with its standard deviation.
+    ``gain`` is the χ² by which impacts agree better after this period than after the stated one. It
+    is 0 if the gain is spread over the rotation, as for a line of the motor, or if no impacts stand
+    out: gravity's wave alone shows the period only to some thousandths. ``mean_rpm`` is over whole
+    periods, without sign.
     """
 
     period_s: float
@@ -64,19 +63,17 @@ class Repetition:
 
     @property
     def motor_turns(self) -> float:
-        """Of the motor in a period: the gear ratio, where the load turns once in it."""
+        """Motor turns in a period: the gear ratio, if the load turns once."""
         return self.mean_rpm / 60.0 * self.period_s
 
 
 def repetition(
     speed_rpm: FloatArray, sampling_hz: float, stated_s: float, least_sd_rpm: float = 0.0
 ) -> Repetition | None:
-    """The period, near the one stated, after which all rotations are most alike.
+    """The period near ``stated_s`` after which all rotations are most alike.
 
-    ``None`` where there are less than two, or nothing repeats that stands out of the noise.
-
-    ``speed_rpm``: shape (n,), evenly sampled. ``least_sd_rpm``: of what is not exact in each
-    sample, whether it differs between rotations or not.
+    ``None`` below two rotations, or if nothing that repeats stands out. ``speed_rpm``: shape (n,),
+    evenly sampled; ``least_sd_rpm``: further error of each sample, repeating or not.
     """
     stated = stated_s * sampling_hz
     if speed_rpm.size - 1 < 2.0 * stated * (1.0 + WITHIN):
@@ -109,7 +106,7 @@ def repetition(
 
 
 def _without_motor_lines(speed_rpm: FloatArray, sampling_hz: float, period: float) -> FloatArray:
-    """The speed about its mean without what goes with the motor's angle."""
+    """The speed minus its mean and its lines at motor orders."""
     mean = float(speed_rpm.mean())
     cleaned = speed_rpm - mean
     turn = np.exp(1j * np.cumsum(speed_rpm) / RPM_PER_RAD_PER_S / sampling_hz)
@@ -125,10 +122,8 @@ def _without_motor_lines(speed_rpm: FloatArray, sampling_hz: float, period: floa
 
 
 def _most_alike(values: FloatArray, stated: float) -> float | None:
-    """The period in samples after which values (n,) differ least; ``None`` at an end of the range.
-
-    From themselves one period later, two, and so on.
-    """
+    """Period in samples at which values (n,) differ least from themselves whole periods later;
+    ``None`` at an end of the range."""
     tried = np.arange(stated * (1.0 - WITHIN), stated * (1.0 + WITHIN), STEP)
     squares = _mean_square(values, stated)(tried)
     place = int(np.argmin(squares))
@@ -140,7 +135,8 @@ def _most_alike(values: FloatArray, stated: float) -> float | None:
 
 
 def _mean_square(values: FloatArray, stated: float) -> Callable[[FloatArray], FloatArray]:
-    """Of the differences between values (n,) and themselves whole periods later, by the period."""
+    """Mean square of the differences between values (n,) and themselves whole periods later, as a
+    function of the period."""
     size = values.size
     products = np.fft.irfft(np.abs(np.fft.rfft(values, 2 * size)) ** 2)
     energy = np.concatenate([[0.0], np.cumsum(values**2)])
@@ -171,11 +167,10 @@ def _folded(values: FloatArray, period: float) -> FloatArray:
 
 
 def _weights(turns: FloatArray, least_variance: float) -> FloatArray:
-    """By which two rotations of (m, k) are laid onto each other most surely, of each order.
+    """Weights of the orders for aligning two rotations of (m, k); 0 if nothing stands out.
 
-    ψ = G/(P² + 2 G P) of the power G that repeats and P of noise (Hannan and Thomson 1973,
-    Biometrika 60, 469): the products of two then sum up to ln of a likelihood. 0 where nothing
-    stands out.
+    ψ = G/(P² + 2 G P), with the power G that repeats and the power P of noise (Hannan and Thomson
+    1973, Biometrika 60, 469). Sums of weighted products are then log likelihoods.
     """
     pairs = len(turns) * (len(turns) - 1)
     repeats = _smooth(_repeating_power(turns))
@@ -188,8 +183,8 @@ def _weights(turns: FloatArray, least_variance: float) -> FloatArray:
 
 
 def _shows_impacts(turns: FloatArray, least_variance: float) -> bool:
-    """Whether what repeats in rotations (m, k) stands out of the noise in most of some neighbouring
-    orders, as impacts do and gravity's wave does not."""
+    """Whether the repeating part of rotations (m, k) stands out in most of some neighbouring
+    orders, as that of impacts does and gravity's wave does not."""
     pairs = len(turns) * (len(turns) - 1)
     noise = turns.shape[1] * (_smooth(_noise_power(turns)) + least_variance)
     ratio = np.pad(_repeating_power(turns) / noise, SMOOTHED // 2, "reflect")
@@ -198,7 +193,7 @@ def _shows_impacts(turns: FloatArray, least_variance: float) -> bool:
 
 
 def _repeating_power(turns: FloatArray) -> FloatArray:
-    """Of what is alike in rotations (m, k), by order, without bias."""
+    """Unbiased power, by order, of the part that repeats in rotations (m, k)."""
     whole = len(turns)
     spectra = np.fft.rfft(turns)
     alike = np.abs(spectra.sum(axis=0)) ** 2 - (np.abs(spectra) ** 2).sum(axis=0)
@@ -206,7 +201,7 @@ def _repeating_power(turns: FloatArray) -> FloatArray:
 
 
 def _noise_power(turns: FloatArray) -> FloatArray:
-    """Of what differs between rotations (m, k), by order: their variance, if it is white."""
+    """Power, by order, of the differences between rotations (m, k); their variance if white."""
     whole, size = turns.shape
     differs = np.abs(np.fft.rfft(turns - turns.mean(axis=0))) ** 2
     return np.asarray(differs.sum(axis=0) / ((whole - 1) * size))
@@ -218,21 +213,22 @@ def _smooth(power: FloatArray) -> FloatArray:
 
 
 def _filtered(values: FloatArray, weights: FloatArray, period: float) -> FloatArray:
-    """Values (n,) with powers weighted; the weights are of whole orders of a period in samples."""
+    """Values (n,) with the power of each order of the period (in samples) weighted."""
     orders = np.fft.rfftfreq(values.size) * period
     gain = np.sqrt(np.interp(orders, np.arange(weights.size), weights))
     return np.fft.irfft(np.fft.rfft(values) * gain, values.size)
 
 
 def _of_impacts(gain: FloatArray) -> float:
-    """What a few parts of a rotation gain, (PLACES,), beyond what all do; 0 if that is more."""
+    """Gain of a few parts of a rotation, (PLACES,), beyond that of all; 0 if that is larger."""
     total = float(gain.sum())
     steady = max(gain.size * float(np.median(gain)), 0.0)
     return total - steady if steady < 0.5 * total else 0.0
 
 
 def _differs(values: FloatArray, period: float) -> FloatArray:
-    """Squares by which rotations of values (n,) are off their mean, in parts of one, (PLACES,)."""
+    """Squared deviation of rotations of values (n,) from their mean, by part of a rotation,
+    (PLACES,)."""
     turns = _folded(values, period)
     squares = np.sum((turns - turns.mean(axis=0)) ** 2, axis=0)
     return np.array([part.sum() for part in np.array_split(squares, PLACES)])

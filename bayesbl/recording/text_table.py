@@ -60,7 +60,8 @@ _SEPARATORS = ("\t", ";", ",", "|", " ")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
 _NUMBERED = re.compile(r" \(\d+\)$")
 _OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]+$')
-"""A cell that begins with a quotation mark and does not end; within one, as in ["], it is text."""
+"""A cell that begins with a quotation mark and does not end; inside a cell, as in ["], it is text.
+"""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
@@ -73,20 +74,20 @@ _STEP = re.compile(
     re.IGNORECASE,
 )
 _LONGEST_STEP_S = 0.1
-"""Without a unit, a longer one may be in ms."""
+"""A longer step without a unit may be in ms."""
 
 MOST_ABOVE = 50
-"""Lines that are not blank in which the first sample is looked for."""
+"""Non-blank lines in which the first sample is sought."""
 MOST_COLUMNS = 1000
-"""A file may have more if it has as many lines."""
+"""A file may have more columns if it has as many lines."""
 MOST_INCOMPLETE = 0.05
-"""Share of lines without one cell for each column, up to which they are lost samples."""
+"""Largest share of incomplete lines that count as lost samples."""
 
 _INCOMPLETE = "incomplete line left out, as a lost sample"
 _BLOCK_BYTES = 1 << 20
 _MIDDLE_LINES, _MIDDLE_BYTES = 200, 1 << 16
 _MOST_SKIPPED = 1_000_000
-"""Lines that are no samples, beyond as many as samples."""
+"""Largest excess of other lines over samples."""
 
 EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
@@ -97,7 +98,7 @@ class NoTable(RecordingError):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the table of a text begins, and how its lines are cut."""
+    """Where a table begins in a text, and how its lines are split."""
 
     separator: str
     names: tuple[str, ...]
@@ -108,7 +109,7 @@ class Layout:
     step_s: float | None = None
 
     def cells(self, line: str) -> list[str]:
-        """A line's cells, without empty ones beyond the last column."""
+        """Cells of a line, without empty ones beyond the last column."""
         cells = _split(line, self.separator)
         while len(cells) > len(self.names) and not cells[-1]:
             cells.pop()
@@ -116,7 +117,7 @@ class Layout:
 
 
 def _blocks(text: bytes) -> Iterator[list[str]]:
-    """Lines, some tens of thousands at a time."""
+    """Blocks of some tens of thousands of lines."""
     begin = 0
     while begin < len(text):
         end = text.find(b"\n", begin + _BLOCK_BYTES) + 1 or len(text)
@@ -130,7 +131,7 @@ def lines_of(text: bytes) -> Iterator[str]:
 
 
 def middle_of(text: bytes) -> list[str]:
-    """Some lines from amid the samples that are not blank."""
+    """Some non-blank lines from the middle of the text."""
     size = len(text)
     if size <= 4 * _MIDDLE_BYTES:
         written = [line for line in lines_of(text) if line.strip()]
@@ -159,8 +160,7 @@ def _split(line: str, separator: str) -> list[str]:
 def _unit_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
     """The unit that a column's cells state.
 
-    Raises RecordingError if they state several: a value is then another multiple of its unit than
-    the one above it.
+    Raises RecordingError if they state several, because then each value has another scale.
     """
     cells = [row[column] for row in rows if column < len(row)]
     units = {parted(cell)[1] for cell in cells if is_value(cell)}
@@ -186,12 +186,11 @@ def layout_of(
     mark: str | None = None,
     is_binary: bool = False,
 ) -> Layout:
-    """How a table is laid out, by its first lines and some amid the samples.
+    """Layout of a table, from its first lines and some in the middle.
 
-    ``lines``: how many it has. ``fewest``: cells of numbers in a line of samples. ``mark``: the
-    decimal mark, where it is known. ``is_binary``: whether it had characters that no text has.
-
-    Raises RecordingError if these lines are no table of numbers.
+    ``lines``: number of lines; ``fewest``: cells of numbers in a sample; ``mark``: the decimal
+    mark, if known; ``is_binary``: whether control characters were found. Raises NoTable if these
+    lines are no table of numbers.
     """
     separator, width, values = _dialect(middle, separators, fewest)
     if width > max(MOST_COLUMNS, lines):
@@ -267,7 +266,7 @@ def layout_of(
 
 
 def _joined(head: Sequence[str]) -> list[str]:
-    """Lines with those that a quoted name goes on over in one; the others are blank."""
+    """Lines joined where a quoted name spans several; the others become blank."""
     joined = list(head)
     at = 0
     for i, line in enumerate(head):
@@ -282,10 +281,10 @@ def _joined(head: Sequence[str]) -> list[str]:
 def _header_of(
     above: Sequence[list[str]], widths: set[int]
 ) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
-    """The last of the rows above the samples that belongs to the header, names, and units if any.
+    """Index of the last header row above the samples, names, and units if any.
 
-    Names are a row of as many cells as the samples have (``widths``) without a number; a row of
-    units may stand below them, or above.
+    Names are a row of one of these ``widths`` without numbers; a row of units may be below or
+    above.
     """
     named: list[int] = []
     for i, cells in enumerate(above):
@@ -322,7 +321,7 @@ def _header_of(
 
 
 def _of_one_key(cells: list[str]) -> list[str]:
-    """The units of a row that says "Unit: rpm" in every cell; nothing of one of another key."""
+    """Units of a row with "Unit: rpm" in every cell; empty for a row with another key."""
     keys = {cell.partition(":")[0] for cell in cells if cell}
     if len(cells) < 2 or len(keys) != 1 or not all(":" in cell for cell in cells if cell):
         return cells
@@ -331,14 +330,14 @@ def _of_one_key(cells: list[str]) -> list[str]:
 
 
 def _of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> tuple[str, ...]:
-    """The cells of the last row whose first one is such a word, but for that one; nothing of a row
-    with more cells than there are columns: these stand elsewhere."""
+    """Cells of the last row whose first cell matches, without that cell; empty if the row is too
+    long."""
     matching = [row for row in rows if len(row) > 2 and re.search(words, row[0], re.IGNORECASE)]
     return ("", *matching[-1][1:]) if matching and not any(matching[-1][width:]) else ()
 
 
 def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
-    """Seconds from sample to sample, of a line above them: beside the word for it, or below."""
+    """Seconds between samples stated above them, beside or below a word for it."""
     for row, below in zip(rows, [*rows[1:], []], strict=False):
         for i, cell in enumerate(row):
             match = _STEP.match(cell)
@@ -362,11 +361,11 @@ def _title_on(title_before: str, title: str) -> str:
 def _first_sample(
     rows: Sequence[Sequence[str]], values: Sequence[int], empty: Sequence[int]
 ) -> int | None:
-    """The first row with values where those amid the file have them, if another one follows it, and
-    nothing in columns that are empty there.
+    """The first row with values where the middle of the file has them, followed by another one, and
+    with nothing in columns that are empty there.
 
-    Numbers of columns are no sample: their names follow; nor are units with a number above cells
-    without a unit.
+    Column numbers are no sample, because names follow; nor are units with numbers above cells
+    without units.
     """
 
     def is_sample(cells: Sequence[str]) -> bool:
@@ -386,7 +385,7 @@ def _first_sample(
 def _dialect(
     lines: Sequence[str], separators: Sequence[str], fewest: int = 2
 ) -> tuple[str, int, list[int]]:
-    """Separator, number of cells and which of them hold values: equal rows, most of numbers."""
+    """Separator, number of cells, and columns of values that give equal rows with most numbers."""
     best, chosen = 0.0, (",", 0, list[int]())
     for separator in separators:
         rows = [_split(line, separator) for line in lines]
@@ -405,7 +404,7 @@ def _dialect(
 
 
 def _value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
-    """Which columns of rows alike hold numbers or dates, and the share of cells that do."""
+    """Columns of equal rows that hold numbers or dates, and the share of such cells."""
     values: list[int] = []
     share = 0.0
     for column, cells in enumerate(zip(*rows, strict=True)):
@@ -428,7 +427,7 @@ def _of_other_width(file: Path, index: int, cells: int, expected: int) -> Record
 
 
 def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTable:
-    """Nothing is quoted: a name may lead to any file."""
+    """The error for a text without a table. Nothing is quoted, because a name may lead to any file."""
     if is_binary:
         actual = "binary data"
     elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
@@ -444,12 +443,10 @@ def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTa
 
 
 def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
-    """The samples of a text below its header, and what of it is left out.
+    """The samples below the header, and counts of what is left out.
 
-    ``control``: characters that were left out before.
-
-    Raises RecordingError if there is none, another header is among them, or too many lines are
-    incomplete.
+    ``control``: characters removed before. Raises RecordingError if there is no sample, another
+    header among the samples, or too many incomplete lines.
     """
     width = len(layout.names)
     parts: list[list[AnyArray]] = [[] for _ in range(width)]
@@ -499,7 +496,7 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
 
 
 def _with_one_clock(table: ArrayTable) -> ArrayTable:
-    """Columns that stand behind times of one name, at the stamps of any of these."""
+    """Merge columns behind several times of one name, at the stamps of any of these."""
     shared = _NUMBERED.sub("", table.columns[0])
     clocks = [name for name in table.columns if _NUMBERED.sub("", name) == shared]
     times = [table.arrays[name] for name in clocks]
@@ -524,7 +521,7 @@ def _with_one_clock(table: ArrayTable) -> ArrayTable:
 
 
 def _quickly(lines: list[str], layout: Layout) -> FloatArray | None:
-    """The numbers of lines by NumPy, shape (n, columns); ``None`` if anything else is in one."""
+    """The numbers of lines by NumPy, shape (n, columns); ``None`` if they hold anything else."""
     separator, mark, text = layout.separator, layout.mark, "\n".join(lines)
     # A quoted cell may hold more separators; no sample has fewer.
     if separator != " " and text.count(separator) != (len(layout.names) - 1) * len(lines):
@@ -553,9 +550,9 @@ def _cut(
     counts: Counter[str],
     incomplete: list[tuple[int, int]],
 ) -> dict[int, list[str]]:
-    """Number of each line that is a sample to its cells; what the others are is counted.
+    """Cells of each line that is a sample, by line number; the other lines are counted.
 
-    ``incomplete`` gains number and cells of samples that are not whole.
+    ``incomplete`` gains line number and cell count of incomplete samples.
     """
     width, blank = len(layout.names), f' "\t{layout.separator}'
     samples: dict[int, list[str]] = {}
@@ -591,8 +588,8 @@ def _cut(
 
 
 def _series(cells: Sequence[str], unit: str, mark: str) -> AnyArray:
-    """Numbers, shape (n,), NaN for missing ones; text where a cell is none, other cells as Python
-    writes numbers."""
+    """Numbers, shape (n,), NaN if missing; texts if a cell is no number, with numbers as Python
+    writes them."""
     are_dates = is_date(cells[0])
     bare = (c if c.lower() in MISSING else c.removesuffix(unit).rstrip() for c in cells)
     numbers = [None if are_dates else number_in(cell, mark) for cell in bare]
@@ -616,18 +613,19 @@ _VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
 _KEY = re.compile(r"tag|name|signal|variable|field|joint|axis|achse|motor_?id|node", re.IGNORECASE)
 _MOST_NAMES = 64
 TIMES = 13.0
-"""Times its size that a log or an export of Scope takes, whose cells are texts at first."""
+"""Memory, as a multiple of the file's size, for a log or Scope export whose cells are texts first.
+"""
 
 _LONGEST_EVENT = 1000
 _ALIKE = 0.8
-"""Share of the first lines that are events, from which the text is a log of them."""
+"""Share of events among the first lines from which a text is a log of events."""
 
 
 _AHEAD = (
     ("clock", re.compile(rf"{_DATE}|\d\d:\d\d:\d\d[.,]\d+")),
     ("clock [ms]", re.compile(r"(?<=[A-Z] \()\d+(?=\))")),
 )
-"""Date, and milliseconds since a controller began, in front of pairs."""
+"""Date, or milliseconds since a controller's start, in front of pairs."""
 
 _PAIR = re.compile(
     r"(?<![^\s,;|])([^\W\d][^\s:=,;|]*)\s*[:=]\s*"
@@ -662,7 +660,7 @@ def in_cells(file: Path, text: bytes, head: Sequence[str]) -> ArrayTable | None:
 
 
 def _row(form: re.Pattern[str] | None, line: str) -> dict[str, str]:
-    """Names to values of a line: of an event, or without a form of pairs; empty if it is none."""
+    """Names and values of an event's line, or of pairs without a form; empty for other lines."""
     line = line.strip()
     if len(line) > _LONGEST_EVENT:
         return {}
@@ -727,7 +725,7 @@ def _are_dates(cells: AnyArray) -> bool:
 def _beside_dates(
     events: ArrayTable, dates: Mapping[str, FloatArray], time: FloatArray
 ) -> ArrayTable:
-    """With the dates that are too coarse to be the clock: they may say in what it counts."""
+    """The events with dates that are too coarse for a clock: they may show its unit."""
     clock = next(iter(events.arrays))
     if clock == "time_s" or not dates:
         return events
@@ -745,10 +743,10 @@ def _of_events(
     names: AnyArray,
     columns: Mapping[str, FloatArray],
 ) -> ArrayTable:
-    """Columns over all stamps from the first at which every name has a value; all shapes (n,).
+    """Columns over all stamps from the first at which every name has a value; shapes (n,).
 
     A value is held until the next one of its name. Lines of several values (``NAME/velocity``) are
-    samples, and nothing is held.
+    samples, of which nothing is held.
     """
     repairs = Counter(table.repairs)
     order = np.argsort(time, kind="stable")

@@ -1,4 +1,4 @@
-"""A recording: named channels over one time axis, with where they came from."""
+"""A recording: named channels over one time axis, with their origin."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a recording came from."""
+    """File and hash from which a recording was read."""
 
     file: str
     sha256: str
@@ -71,7 +71,7 @@ class Recording:
 
     @property
     def place(self) -> str:
-        """The file it was read from, or its name: where an error in it is."""
+        """The file it was read from, or its name; for messages."""
         return self.source.file if self.source else self.name
 
     @property
@@ -81,13 +81,13 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Length of record n · Δt in seconds: one period beyond the last sample's time stamp."""
+        """Length n · Δt in s: one period beyond the last stamp."""
         span = float(self.time_s[-1] - self.time_s[0])
         return span * self.samples / (self.samples - 1)
 
     @property
     def sampling_period_s(self) -> float:
-        """Mean time between samples Δt in seconds."""
+        """Mean time between samples Δt in s."""
         return float(self.time_s[-1] - self.time_s[0]) / (self.samples - 1)
 
     @property

@@ -1,7 +1,7 @@
-"""File formats of recordings: a row of :data:`FORMATS` and the module that reads it.
+"""File formats of recordings, and the functions that read them.
 
-Asked by the command line's help and by configurations before any number is read, so modules are
-imported when they read.
+The command line's help and configurations use this table, so readers are imported only when they
+read.
 """
 
 from __future__ import annotations
@@ -19,44 +19,36 @@ if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
 
 RESULT_MARK = "bayesbl_format"
-"""Root attribute that marks a NetCDF file as a result of ours; its value counts the layouts."""
+"""Root attribute of our NetCDF results; its value numbers the layout."""
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A kind of file that holds a recording.
+    """A kind of file that holds a recording."""
 
-    ``name``: what the help calls it. ``suffixes``: of its files, in small letters with the dot.
-    ``module``: whose function ``read`` makes named columns of path and bytes. Called in a process
-    of its own, but for text; what it raises there is told as a damaged file. ``library``: the
-    optional library that it reads with, as it is imported; empty where there is none.
-    ``signatures``: what its files have at which byte, any of them; a file without is not parsed,
-    and nothing of it is quoted. Empty for text. ``beside``: where a file that belongs to it may be,
-    seen from its folder, with ``*`` for any name: the first one's bytes come with the file's own
-    (:func:`~..input_bytes.of_two`).
-    """
-
-    name: str
-    suffixes: tuple[str, ...]
-    module: str
-    library: str = ""
+    name: str  # in the help
+    suffixes: tuple[str, ...]  # in small letters with the dot
+    module: str  # as of reader_of; called in a process of its own, except for text
+    library: str = ""  # optional library to import
+    # Bytes at a position, of which a file must have one to be parsed and quoted; none for text.
     signatures: tuple[tuple[int, bytes], ...] = ()
+    # Places of a file that belongs to it, from its folder; the bytes of the first come with its own.
     beside: tuple[str, ...] = ()
 
     def is_begun_by(self, data: bytes) -> bool:
-        """Whether bytes may be a file of this format."""
+        """Whether bytes may be the start of such a file."""
         return not self.signatures or any(
             data[at : at + len(mark)] == mark for at, mark in self.signatures
         )
 
     @property
     def read(self) -> Callable[[Path, bytes], ArrayTable]:
-        """From path and bytes to named columns."""
+        """The function that turns path and bytes into named columns."""
         return reader_of(self.module)
 
 
 def reader_of(module: str) -> Callable[[Path, bytes], ArrayTable]:
-    """The function ``read`` of a module of this package, or another one: ``.csv:read_diadem``."""
+    """The function ``read`` of a module, or the named one: ``.csv:read_diadem``."""
     name, _, function = module.partition(":")
     reader: Callable[[Path, bytes], ArrayTable]
     reader = getattr(import_module(name, __name__), function or "read")
@@ -71,14 +63,14 @@ CAN_LOG = Format(
     ((0, b""),),
     ("{stem}.dbc", "{stem}.DBC", "*.dbc", "*.DBC"),
 )
-"""Also of texts whose lines are frames."""
+"""Also used for texts whose lines are frames."""
 
 _FRAME = re.compile(
     rb"\s*(?:\(\S+\)\s+)?\w*can\d+\s+[0-9A-F]+(?:#|\s+\[\d+\])"
     rb"|\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s",
     re.IGNORECASE,
 )
-"""A line of a frame, as candump and Vector's tools write it."""
+"""A frame as a line of candump or Vector's tools."""
 
 
 def begins_with_frames(text: bytes) -> bool:
@@ -89,7 +81,7 @@ def begins_with_frames(text: bytes) -> bool:
 
 _MAT_5 = ((126, b"IM"), (126, b"MI"))
 _MAT_4 = (*((0, bytes([kind, 0, 0, 0])) for kind in range(0, 60, 10)), (0, b"\x00\x00\x03\xe8"))
-"""Version 4 has no signature but the type of its first variable."""
+"""Version 4 has no signature; it begins with the type of its first variable."""
 
 _EVERY = (
     Format("CSV, TSV", (".csv", ".tsv", ".txt", ".log", ".lvm", ".asc", ".prn"), ".csv"),
@@ -133,10 +125,10 @@ _EVERY = (
 )
 
 FORMATS = {suffix: format_ for format_ in _EVERY for suffix in format_.suffixes}
-"""Suffix to the format of files that end in it."""
+"""Format by suffix."""
 
 
 def names() -> str:
-    """``CSV, TSV, MATLAB, NetCDF or Parquet``."""
+    """All formats in words: ``CSV, TSV, MATLAB, NetCDF or Parquet``."""
     *most, last = dict.fromkeys(format_.name for format_ in FORMATS.values())
     return f"{', '.join(most)} or {last}"

@@ -1,8 +1,8 @@
-"""MATLAB files as a table: v5 (and v4) by scipy, v7.3 and other HDF5 by h5py; NumPy's ``.npz``.
+"""Files of named arrays: MATLAB v4 and v5 (scipy), v7.3 and other HDF5 (h5py), ``.npz``, NetCDF.
 
-Vectors of either orientation become columns. Fields of a structure are named as MATLAB names them,
-``rec.speed``, columns of a matrix ``data(:,2)``; if the file holds nothing but one structure, its
-name is left off. A signal that Simulink's scope stored is called by its label.
+Vectors of either orientation become columns, named as MATLAB names them: ``rec.speed`` for the
+field of a structure, ``data(:,2)`` for a column of a matrix. The name of an only structure is left
+out. A signal stored by Simulink's scope has the name of its label.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ _NUMERIC = frozenset(
 def read(file: Path, data: bytes) -> ArrayTable:
     """Numeric vectors, columns of matrices and fields of structures.
 
-    Raises RecordingError if it is no MATLAB file, holds no vector, or is v7.3 and shows what it
-    does not hold itself.
+    Raises RecordingError if there is no vector, or an HDF5 file refers to values outside of it.
     """
 
     units: dict[str, str] = {}
@@ -117,9 +116,9 @@ def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str,
 
 
 def read_netcdf(file: Path, data: bytes) -> ArrayTable:
-    """Variables and coordinates with one dimension; calendar times decoded, units kept.
+    """One-dimensional variables of the root group, with units and decoded calendar times.
 
-    Raises RecordingError if it is no NetCDF file, not all in itself, or one of our own results.
+    Raises RecordingError if the file refers to values outside of it, or is a result of ours.
     """
     import netCDF4
     import xarray as xr

@@ -1,6 +1,6 @@
-"""Frames of a CAN bus by the DBC file beside them: of candump, or Vector's ``.asc`` and ``.blf``.
+"""CAN frames, decoded by the DBC file beside them: from candump, or Vector's ``.asc`` and ``.blf``.
 
-Frames of one message, with the same signals in them, were sampled together.
+Frames of one message that contain the same signals form one group.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _VECTOR_FRAME = re.compile(r"(?im)^\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """Each message's signals in physical units, with the units that the DBC file states.
+    """The signals of each message in physical units, which the DBC file states.
 
-    Raises RecordingError if there is no DBC file, or no frame with a time is of one of its
+    Raises RecordingError without a DBC file, without times, or without a frame of one of its
     messages.
     """
     log, dbc = two_of(data)

@@ -47,17 +47,17 @@ _BEGINS_OF_CONTROL = bytes([*range(9), *range(0x0E, 0x20), 0x7F, 0xC2, 0xEF])
 _KANA = re.compile("[\u3041-\u30fa]|[\uff66-\uff9d]{2}")
 _KANJI = re.compile("(?<![A-Za-z])[\u4e00-\u9fff]+(?![A-Za-z])")
 _KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
-"""An accented letter of Latin-1 and the one after it may read as a kanji within a word."""
+"""Two accented Latin-1 letters in a word may read as a kanji."""
 
 _HEAD_LINES = 400
 _LONGEST_LINE = 4_000_000
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """Find the table in a text, or read an export of TwinCAT Scope or a log of events.
+    """Read a table, a log of events, or an export of TwinCAT Scope.
 
-    Raises RecordingError if it is not text, or holds no table or no sample. Nothing of it is quoted
-    before its lines have proved to be numbers.
+    Raises RecordingError if the bytes are not text, or hold no table or no sample. Nothing is
+    quoted before lines have proved to be numbers.
     """
     for begin in range(0, len(data), _LONGEST_LINE):
         part = data[begin : begin + _LONGEST_LINE]
@@ -78,7 +78,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 
 def _in_utf8(file: Path, data: bytes) -> tuple[bytes, int]:
-    """A text in UTF-8, its lines ended alike, and how many control characters it is now without."""
+    """The text in UTF-8 with uniform line ends, and the number of control characters removed."""
     encoding = _encoding(data)
     copies = 3.0 if encoding != "utf-8" else 2.0 if b"\r" in data else 1.0
     require_memory(file, copies * len(data), "a text and its copy in UTF-8")
@@ -118,28 +118,28 @@ def _encoding(data: bytes) -> str:
 
 _SEPARATORS = "\t;,"
 _SCALES = {"Offset": 0.0, "ScaleFactor": 1.0, "Unit Offset": 0.0, "Unit ScaleFactor": 1.0}
-"""What leaves a value as it is. Whether the export scaled it is not in the file."""
+"""Neutral scales. The file does not say whether the export applied others."""
 
 _SCOPE_BEGIN = re.compile(rf"Name[{_SEPARATORS}]")
 _SCOPE_LINE = re.compile(
     rf"^(?:Starttime of export|Data-Type|SampleTime(?:\[ms\])?|SymbolName)[{_SEPARATORS}]", re.M
 )
 _LONGEST_HEADER = 500
-"""Lines in which the first sample is looked for; comments may go over several."""
+"""Lines in which the first sample is sought; comments may take several."""
 
 _FILETIME = 1e15
-"""A time from here on is a Windows date in units of 100 ns, not a count of ms."""
+"""A larger time is a Windows date in units of 100 ns, not a count of ms."""
 
 
 def _is_scope_export(text: str) -> bool:
-    """Whether a text begins as TwinCAT Scope's exports do, with lines on its channels."""
+    """Whether a text begins like an export of TwinCAT Scope."""
     return bool(_SCOPE_BEGIN.match(text)) and bool(_SCOPE_LINE.search(text[:100_000]))
 
 
 def _read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
-    """All channels; a unit only where no scale leaves open what it belongs to.
+    """All channels; units only where no scale makes them ambiguous.
 
-    Raises RecordingError if its channels have no times, or there is text among these.
+    Raises RecordingError if there are no channels with times, or text among the times.
     """
 
     separator = lines[0][4]
@@ -166,7 +166,7 @@ def _read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
 
 
 def _padded_lines(lines: Sequence[str], separator: str, width: int) -> Iterator[str]:
-    """Lines of samples with a decimal point and a cell for every column."""
+    """Lines of samples with a decimal point and one cell for each column."""
     for line in lines:
         if line.strip("\r\n ") == "EOF":
             break
@@ -175,7 +175,7 @@ def _padded_lines(lines: Sequence[str], separator: str, width: int) -> Iterator[
 
 
 def _scope_unit(known: Mapping[str, Sequence[str]], column: int) -> str:
-    """``rad/s`` of ``rad/s (Velocity)``; empty where there is none, or where a scale is set."""
+    """``rad/s`` from ``rad/s (Velocity)``; empty if there is no unit, or a scale is set."""
     for key, neutral in _SCALES.items():
         cells = known.get(key, ())
         text = cells[column].replace(",", ".") if column < len(cells) else ""
@@ -190,9 +190,9 @@ _DIADEM_CHANNEL = b"#BEGINCHANNELHEADER"
 
 
 def read_diadem(file: Path, data: bytes) -> ArrayTable:
-    """Channels of a header and the samples of the file beside it.
+    """Channels by header, with the samples of the file beside it.
 
-    Raises RecordingError if the samples are missing, or fewer than the header says.
+    Raises RecordingError if samples are missing.
     """
     header, samples = two_of(data)
     if _DIADEM_CHANNEL not in header:

@@ -1,4 +1,4 @@
-"""Excel workbooks as a table: names and units are looked for above the samples, as in text."""
+"""Excel workbooks as tables; names and units are sought above the samples, as in text."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of
 
 _MOST_COLUMNS = 1000
 _MOST_LINES = 2**20
-"""Excel's own. A damaged file may number a line as it likes, and those before it would be made."""
+"""Excel's limit. A damaged file may have any line number, and all lines before it would be made."""
 
 _HEAD, _MIDDLE = 400, 200
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """Columns of all sheets, ``SHEET/NAME`` where two sheets have one of the same name.
+    """Columns of all sheets; ``SHEET/NAME`` if two sheets have the same name.
 
-    Raises RecordingError if it is no workbook, or unpacks to more than the limit of memory allows.
+    Raises RecordingError if the file is no workbook, or would take too much memory.
     """
     _check_size(file, data)
     book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
@@ -52,7 +52,7 @@ def _check_size(file: Path, data: bytes) -> None:
 
 
 def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
-    """A sheet, as the text that it would be: numbers of cells with all their digits."""
+    """A sheet, converted to text with all digits of its numbers."""
 
     rows = list(_rows(file, sheet))
     written = [i for i, row in enumerate(rows) if any(cell is not None for cell in row)]
@@ -76,14 +76,14 @@ def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
 
 
 def _text(cell: object, mark: str) -> str:
-    """A cell as text, in one line and without a quotation mark, which would open a cell."""
+    """A cell as text, on one line and without quotation marks."""
     if isinstance(cell, float):
         return repr(cell).replace(".", mark)
     return "" if cell is None else re.sub(r'[\s"]+', " ", str(cell)).strip()
 
 
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
-    """All rows. What the sheet says of its own size is not believed."""
+    """All rows; the size that the sheet states is ignored."""
     sheet.reset_dimensions()
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         if len(row) > _MOST_COLUMNS or number > _MOST_LINES:

@@ -26,10 +26,8 @@ _DEEPEST = 6
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """The longest table in the file.
-
-    Raises RecordingError if it is no JSON, or holds no list of numbers.
-    """
+    """The longest table in the file. Raises RecordingError if it is not JSON, or holds no list of
+    numbers."""
 
     text = data.decode("utf-8-sig")
     try:
@@ -58,7 +56,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 
 def _named(content: dict[str, Any]) -> dict[str, Any]:
-    """Rows of values as columns by their names, where a list of as many texts is beside them."""
+    """Rows of values as named columns, if a list of as many texts is beside them."""
     lists = [v for v in content.values() if isinstance(v, list) and v]
     rows = next((v for v in lists if all(isinstance(row, list) for row in v)), [])
     widths = {len(row) for row in rows}
@@ -69,7 +67,7 @@ def _named(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _columns(name: str, content: Any, depth: int) -> Iterator[tuple[str, list[Any]]]:
-    """Every list of plain values, by the names that lead to it."""
+    """Every list of plain values, with the path of names to it."""
     if depth > _DEEPEST or not content:
         return
     if isinstance(content, list) and len(content) == 1 and isinstance(content[0], (dict, list)):

@@ -1,7 +1,7 @@
-"""MDF files (version 3 and 4) as a table; each group of channels has its own master, the time.
+"""MDF files (versions 3 and 4); the master channel of each group is its time.
 
-Nothing of a file is evaluated: the values are read as they are stored, of masters too, and factor
-and offset are applied here. A channel with another conversion is withheld by the conversion's name.
+Formulas in a file are never evaluated: stored values are read, and factor and offset are applied
+here. A channel with another conversion is withheld with the name of that conversion.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _NAMES_3 = {
     1: "a table", 2: "a table", 6: "a polynomial", 7: "an exponential", 8: "a logarithm",
     10: "a formula", 11: "a table of text", 12: "a table of text", 132: "a date", 133: "a time",
 }  # fmt: skip
-"""Conversions that are no factor and offset, by their number in MDF 4 and in MDF 3."""
+"""Nonlinear conversions by their number in MDF 4 and MDF 3."""
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """Every channel of one dimension, in the units after its conversion where that is linear."""
+    """Every one-dimensional channel, in physical units if its conversion is linear."""
     with asammdf.MDF(io.BytesIO(data)) as stored:
         groups = [_group(stored, number) for number in range(len(stored.groups))]
         return table_of_groups(file, groups, one_origin=True)
 
 
 def _scale(conversion: Any) -> tuple[float, float, str]:
-    """Factor and offset of a channel's conversion; the name of one that is neither."""
+    """Factor and offset of a channel's conversion, or the name of a nonlinear one."""
     if conversion is None:
         return 1.0, 0.0, ""
     is_new = conversion.id == b"##CC"
@@ -94,7 +94,7 @@ def _group(stored: Any, number: int) -> Group:
 
 
 def _unit(channel: Any) -> str:
-    """Of the values after the conversion, which states it where there is one."""
+    """Unit after the conversion, if there is one."""
     conversion = channel.conversion
     unit = getattr(conversion, "unit", "") or getattr(conversion, "unit_field", "")
     unit = unit or getattr(channel, "unit", "") or ""

@@ -21,13 +21,11 @@ _LONGEST_LIST = 64
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """All columns, the index that pandas may have stored among them.
+    """All columns, including an index stored by pandas.
 
-    Elements of lists are called as LeRobot's ``meta/info.json`` does, by joint: the first of
-    ``observation.state`` is ``shoulder_pan/observation.state.pos`` if its name there is
-    ``shoulder_pan.pos``. Of several episodes in one file, each is a group.
-
-    By pyarrow, not the lighter fastparquet, which a damaged file can crash.
+    Elements of lists are named by joint as in LeRobot's ``meta/info.json``: ``shoulder_pan.pos`` of
+    ``observation.state`` becomes ``shoulder_pan/observation.state.pos``. Episodes in one file
+    become groups. pyarrow reads, because a damaged file can crash the lighter fastparquet.
     """
     data, info = two_of(data)
     names = _names_of_elements(info)
@@ -49,7 +47,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 
 def _names_of_elements(info: bytes) -> dict[str, list[str]]:
-    """Of each list, where LeRobot names its elements: a list of names, or one in an object."""
+    """Names of the elements of each list, as LeRobot states them: a list, or a list in an object."""
     try:
         stated = json.loads(info)
     except ValueError:
@@ -64,8 +62,7 @@ def _names_of_elements(info: bytes) -> dict[str, list[str]]:
 
 
 def _of_lists(name: str, column: Any, elements: Sequence[str]) -> dict[str, AnyArray]:
-    """``NAME[0]``, ``NAME[1]`` … of a column whose cells are lists of one length, or by the names
-    of their elements; else nothing."""
+    """Columns of the elements of a column of lists of one length; empty for other columns."""
 
     kind = column.type
     if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):

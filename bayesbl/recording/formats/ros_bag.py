@@ -1,4 +1,4 @@
-"""ROS bags (MCAP, SQLite, ROS 1) as a table: joints by name, other topics by field."""
+"""ROS bags (MCAP, SQLite, ROS 1): joints by name, other topics by field."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, table_of_
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
-"""Of a joint that turns, as the definition of JointState states them."""
+"""For a rotary joint, by the definition of JointState."""
 
 _LONGEST_ARRAY = 100
 _DEEPEST = 6
@@ -27,7 +27,7 @@ _DEEPEST = 6
 
 @dataclass(frozen=True, slots=True)
 class _Bytes:
-    """A file in memory, with as much of a path as rosbags asks for."""
+    """A file in memory with the part of the path interface that rosbags uses."""
 
     name: str
     data: bytes
@@ -57,10 +57,10 @@ class _Bytes:
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """``JOINT/velocity`` of JointState, ``TOPIC/FIELD`` of others, each group with its clock.
+    """``JOINT/velocity`` of JointState and ``TOPIC/FIELD`` of other messages, each with its clock.
 
-    Time is the header's stamp from the group's first; where messages have none, the column
-    ``received_s`` holds when they were recorded, which a network makes uneven.
+    Time is the header's stamp minus the first one of the group. Without stamps, ``received_s`` has
+    the times of recording, which a network makes uneven.
     """
     path = _Bytes(file.name.removesuffix(".gz").lower(), data)
     # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
@@ -72,15 +72,15 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 
 class _Rows:
-    """The messages of a topic or joint: header's stamp (0 if none) and time of recording, in ns,
-    and every number by its name."""
+    """Messages of a topic or joint: header's stamp (0 if none), time of recording, both in ns, and
+    fields."""
 
     def __init__(self) -> None:
         self.stamps_ns, self.received_ns = array("q"), array("q")
         self.fields: dict[str, array[float]] = {}
 
     def add(self, stamp_ns: int, received_ns: int, numbers: Mapping[str, float]) -> None:
-        """One message more; NaN for the numbers that it lacks."""
+        """Add a message, with NaN for missing numbers."""
         for name, value in numbers.items():
             held = self.fields.setdefault(name, array("d"))
             held.extend([math.nan] * (len(self.stamps_ns) - len(held)))
@@ -90,7 +90,7 @@ class _Rows:
 
 
 _Series = dict[tuple[str, str], _Rows]
-"""Topic and joint, empty but for JointState, to their messages."""
+"""Messages by topic and joint; the joint is empty except for JointState."""
 
 
 def _series(reader: Any) -> _Series:
@@ -110,7 +110,7 @@ def _series(reader: Any) -> _Series:
 
 
 def _joints(message: Any) -> Iterator[tuple[str, dict[str, float]]]:
-    """Each joint of a JointState, with those of its quantities that are given for all joints."""
+    """Joints of a JointState, with the quantities that it states for all joints."""
     given = {
         quantity: values
         for quantity in _JOINT_UNITS
@@ -121,7 +121,7 @@ def _joints(message: Any) -> Iterator[tuple[str, dict[str, float]]]:
 
 
 def _fields(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
-    """Every number of a message by the path to it, but the header's."""
+    """Numbers of a message by their path, without the header."""
 
     for name in getattr(message, "__dataclass_fields__", ()):
         value = getattr(message, name)
@@ -136,7 +136,7 @@ def _fields(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[st
 
 
 def _groups(series: _Series) -> list[Group]:
-    """Joints by their names, with their topic in front where two topics have one of that name."""
+    """Groups by joint, with the topic in front if several topics have the joint."""
     times = Counter(joint for _, joint in series)
     return [
         _group(topic, rows, {})

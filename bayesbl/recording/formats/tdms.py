@@ -1,4 +1,4 @@
-"""TDMS files of LabVIEW as a table; a waveform's own increment is its clock."""
+"""TDMS files of LabVIEW; the increment of a waveform is its clock."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UNITS = ("unit_string", "NI_UnitDescription")
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """Every channel; ``GROUP/NAME`` where two groups have one of the same name."""
+    """Every channel; ``GROUP/NAME`` if two groups have the same name."""
     stored = nptdms.TdmsFile.read(io.BytesIO(data))
     channels = [channel for group in stored.groups() for channel in group.channels()]
     starts = [c.properties.get("wf_start_time") for c in channels if "wf_increment" in c.properties]
@@ -27,10 +27,10 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 
 def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
-    """Channels of a group that have one clock: waveforms that start together at one rate.
+    """Channels of a group that share a clock: waveforms with the same start and rate.
 
-    Channels that state no increment belong to the only clock, if there is only one. ``first``: when
-    the first of all starts, if it is known of each.
+    Channels without an increment use the only clock, if there is just one. ``first``: the earliest
+    start of all waveforms, if all are dated.
     """
     channels = {str(channel.name): channel for channel in group.channels()}
     columns = {name: np.asarray(channel[:]) for name, channel in channels.items()}
