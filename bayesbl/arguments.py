@@ -1,7 +1,7 @@
-"""What people pass to the public functions: checked and converted at the edge, in one way.
+"""Check and convert what people pass to the public functions.
 
-A parameter says in its annotation what it takes, and :func:`checked` refuses everything else in one
-sentence that names the function, the parameter, what was passed and what is expected.
+The annotation of a parameter says what it accepts. :func:`checked` refuses everything else in a
+sentence with function, parameter, value and expectation.
 """
 
 from __future__ import annotations
@@ -24,15 +24,14 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 Arrays = dict[str, "NDArray[Any]"]
-"""Columns of a recording that is no file, by name."""
+"""Columns by name, of a recording in memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Takes:
-    """In the annotation of a parameter: what it takes, in words, and what is made of it.
+    """Annotation of a parameter: what it accepts, in words, and its conversion.
 
-    ``convert`` raises TypeError or ValueError, whose text is told if there is any, for what cannot
-    be used.
+    ``convert`` raises TypeError or ValueError, whose text is shown if it has one.
     """
 
     expected: str
@@ -40,10 +39,8 @@ class Takes:
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """The function with its arguments converted as its annotations say.
-
-    Raises UserError for an argument that cannot be used.
-    """
+    """The function with its arguments converted as annotated. Raises UserError for an invalid
+    one."""
     signature = inspect.signature(function)
 
     @wraps(function)
@@ -105,14 +102,14 @@ def described(value: Any) -> str:
 
 
 def as_path(value: Any) -> Path:
-    """A path of text."""
+    """A path."""
     if isinstance(value, bytes) or not isinstance(value, str | os.PathLike):
         raise TypeError
     return Path(value)
 
 
 def as_dates(value: Any) -> list[date]:
-    """Dates, ISO text among them."""
+    """Dates, also as ISO text."""
     if isinstance(value, str | date) or not isinstance(value, Iterable):
         raise TypeError
     return [_date(item) for item in value]
@@ -141,7 +138,7 @@ def as_names(value: Any) -> str | list[str]:
 
 
 def as_recording(value: Any) -> Path | Arrays:
-    """A path, or the columns of whatever holds a recording in memory."""
+    """A path, or the columns of a recording in memory."""
     import numpy as np
 
     if isinstance(value, str | os.PathLike):
@@ -186,7 +183,7 @@ def as_formats(value: Any) -> tuple[str, ...]:
 
 
 def as_tree(value: Any) -> Any:
-    """The tree of a result; of a result that is an object, its own."""
+    """The tree of a result, or of a result object."""
     import xarray as xr
 
     tree = value if isinstance(value, xr.DataTree) else getattr(value, "to_xarray", lambda: None)()

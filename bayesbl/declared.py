@@ -1,4 +1,4 @@
-"""What the modules of a package declare: a new file in it is found without another being edited."""
+"""Find what the modules of a package declare, so that a new file needs no other edit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _Declared = TypeVar("_Declared")
 
 
 def declared(package: ModuleType, kind: type[_Declared]) -> list[_Declared]:
-    """Every object of one type that a module of the package holds, by the modules' names."""
+    """Every object of one type in the modules of a package, by module name."""
     modules = iter_modules(package.__path__, f"{package.__name__}.")
     held = [value for module in modules for value in vars(import_module(module.name)).values()]
     # A module may import what another declares.

@@ -12,11 +12,9 @@ E = TypeVar("E", bound="UserError")
 class UserError(Exception):
     """A mistake in usage, configuration or input; ends the command with exit status 2.
 
-    ``code`` is what programs use.
-
-    ``problem``: what is wrong, as a sentence without the place. ``file``: the file it was found in,
-    if any. ``where``: the line, column or field inside the file, e.g. ``"line 14"`` or
-    ``"[run] seed"``. ``found``, ``expected``: what was there, and what should have been.
+    ``problem`` is a sentence without the place. ``where`` is the line, column or field in the
+    ``file``: ``"line 14"``, ``"[run] seed"``. ``found`` and ``expected`` say what was there, and
+    what should have been. Programs use ``code``.
     """
 
     code = "refused"
@@ -38,13 +36,13 @@ class UserError(Exception):
         super().__init__(self._message())
 
     def name_file(self, file: str | Path) -> None:
-        """Say the file that the error was found in, where none is named yet."""
+        """State the file if none is stated yet."""
         if self.file is None:
             self.file = str(file)
             self.args = (self._message(),)
 
     def at(self, kind: type[E], where: str = "", file: str | Path | None = None) -> E:
-        """The same as an error of this kind, its place behind ``where``; in this file, if given."""
+        """The same error of this kind, with ``where`` in front of its place, in this file."""
         place = f"{where}{self.where or ''}".rstrip(" ,") or None
         file = self.file if file is None else file
         return kind(self.problem, file=file, where=place, found=self.found, expected=self.expected)
@@ -74,7 +72,7 @@ def _ended(text: str) -> str:
 
 
 class ConfigError(UserError):
-    """A configuration file or command-line option that cannot be run as written."""
+    """A configuration or command-line option that cannot be run as written."""
 
 
 class RecordingError(UserError):
@@ -82,20 +80,18 @@ class RecordingError(UserError):
 
 
 class UnavailableError(RecordingError):
-    """A recording that cannot be read here and now: what it holds is not what is wrong.
-
-    A library is missing, the file may not be read, or a limit of this machine is in the way.
-    """
+    """A recording that cannot be read here and now, although its content may be sound: a library is
+    missing, the file may not be read, or a limit of this machine is exceeded."""
 
 
 class NeedsBench(RecordingError):
-    """A recording of a motion, whose gap shows only beside a bench."""
+    """A recording of a motion, whose gap can only be measured with a bench."""
 
     code = "needs_bench"
 
 
 class NoFlankChange(RecordingError):
-    """The load stays on one tooth flank, or nothing tells otherwise: no gap shows.
+    """The load stays on one tooth flank, or nothing shows otherwise, so no gap is visible.
 
     ``MOTION`` says what would show the gap.
     """
@@ -112,7 +108,7 @@ class BenchError(UserError):
 
 
 class SimulationError(BenchError):
-    """Values with which a bench cannot be simulated: a search turns back from them."""
+    """Values with which a bench cannot be simulated; a search turns back from them."""
 
 
 class CurveError(UserError):
@@ -132,4 +128,4 @@ class ClusterError(UserError):
 
 
 class BrokerError(UserError):
-    """A broker of messages that cannot be reached, or does not let us in."""
+    """A message broker that cannot be reached, or refuses us."""

@@ -1,10 +1,9 @@
-"""Libraries without the extras that they import where these happen to be installed.
+"""Import libraries without the optional extras that they would import too.
 
 pandas imports pyarrow, xarray dask, cma matplotlib and emcee h5py: together most of a second and
-110 MB, of which a command uses nothing, or only later and by itself. They ask whether an extra is
-there as they are imported, and remember the answer for the life of the process. So only a process
-of ours may do this, a command or its worker, before it has other threads: whoever imports bayesbl
-into a program of their own finds pandas and xarray as they know them.
+110 MB, which a command does not use, or only later. They look for an extra at their import and
+remember the answer. So only our own processes (a command or its worker) may do this, before they
+have other threads. Whoever imports bayesbl into another program finds pandas and xarray unchanged.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def absent(*names: str) -> Iterator[None]:
-    """Modules that are not loaded yet look within the block as if they were not installed."""
+    """Within the block, modules that are not loaded yet appear as not installed."""
     hidden = [name for name in names if name not in sys.modules]
     for name in hidden:
         sys.modules[name] = None  # type: ignore[assignment]  # how Python marks them
@@ -31,9 +30,9 @@ def absent(*names: str) -> Iterator[None]:
 
 @contextmanager
 def bare(*, dask: bool = False) -> Iterator[None]:
-    """What every run needs is imported without its extras; the block has no dask unless asked for.
+    """Import what every run needs without extras; the block has no dask unless asked for.
 
-    xarray looks for dask as it is imported, at its first variable and for each file.
+    xarray looks for dask at its import, at its first variable and for each file.
     """
     # Loaded before, it would insist on the dask that it found.
     spared = () if dask or "xarray" in sys.modules else ("dask",)
@@ -52,7 +51,7 @@ def bare(*, dask: bool = False) -> Iterator[None]:
 
 @contextmanager
 def _never_collected() -> Iterator[None]:
-    """What is imported stays as long as the process: to look through it for garbage takes 0.2 s."""
+    """Exclude imported objects from garbage collection, which would take 0.2 s."""
     gc.disable()
     try:
         yield

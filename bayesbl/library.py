@@ -1,6 +1,6 @@
-"""What the commands do, as functions: they return results that print, plot and give their numbers.
+"""The commands as functions, which return results that print, plot and give their numbers.
 
-Options that are not given are those of ``config``, or the defaults of the command line.
+Options that are not given come from ``config``, or are the defaults of the command line.
 """
 
 from __future__ import annotations
@@ -350,12 +350,9 @@ def draw(
 
 
 def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | None = None) -> None:
-    """A study file is given for the result of a study, and for no other.
+    """Require a study file for the result of a study, and for no other.
 
-    Raises
-    ------
-    ResultError
-        Naming the result, where it is given, if not.
+    Raises ResultError, with the result if it is given.
     """
     if (tree.attrs["kind"] == "study") is not (study is not None):
         raise ResultError(
@@ -376,7 +373,7 @@ def _run_options(
     dates: Sequence[date] = (),
     **given: Any,
 ) -> Any:
-    """The result, as an object, of what these options state over a configuration."""
+    """The result object of options over a configuration."""
     from bayesbl.config.loading import config_from_options
 
     with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
@@ -385,9 +382,9 @@ def _run_options(
 
 @contextmanager
 def _files(recordings: Sequence[Any], bench: Any) -> Iterator[tuple[list[Path], Path | None]]:
-    """Files of recordings and of a bench: those that are in memory are written for the time being.
+    """Files of recordings and a bench; those in memory are written to a temporary folder.
 
-    Recordings in memory are named ``recording_1``, ``recording_2`` by their place.
+    Recordings in memory are named ``recording_1``, ``recording_2``, ….
     """
     with tempfile.TemporaryDirectory(prefix="bayesbl-") as folder:
         files = [
@@ -415,7 +412,7 @@ def _written(file: Path, columns: Mapping[str, Any]) -> Path:
 
 
 def _made(config: RunConfig, tell: StageProgress | None) -> Any:
-    """The result of a configuration as an object."""
+    """The result object of a configuration."""
     from bayesbl.config.measurement import SnapshotConfig
     from bayesbl.measurement.routes import measure
     from bayesbl.presentation.result_object import result_of
@@ -427,7 +424,7 @@ def _made(config: RunConfig, tell: StageProgress | None) -> Any:
 
 
 def _shown(progress: bool) -> AbstractContextManager[StageProgress | None]:
-    """What a run calls with its steps, if they are to be shown."""
+    """Progress, if it is to be shown."""
     if not progress:
         return nullcontext()
     from bayesbl.presentation.terminal import make_console

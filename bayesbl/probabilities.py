@@ -1,7 +1,7 @@
-"""Tails of the usual distributions and their inverses.
+"""Tails of common distributions, and their inverses.
 
-For values that are not negative and probabilities between 0 and 1. ``scipy.stats`` has them too;
-its import takes a quarter of a second of every command.
+Values must not be negative, probabilities between 0 and 1. The import of ``scipy.stats``, which has
+them too, takes a quarter of a second.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ def normal_sf(z: float) -> float:
 
 
 def normal_isf(probability: float) -> float:
-    """The z that Z exceeds with this probability."""
+    """The z with P(Z > z) equal to this probability."""
     return float(-special.ndtri(probability))
 
 
 def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> np.ndarray:
-    """P(χ² > value) at so many degrees of freedom."""
+    """P(χ² > value) with these degrees of freedom."""
     return np.asarray(special.chdtrc(freedom, value))
 
 
 def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> np.ndarray:
-    """The value that χ² exceeds with this probability."""
+    """The value with P(χ² > value) equal to this probability."""
     return np.asarray(special.chdtri(freedom, probability))
 
 
 def f_sf(value: float, above: float, below: float) -> float:
-    """P(F > value) at degrees of freedom above and below the line."""
+    """P(F > value) with these degrees of freedom of numerator and denominator."""
     return float(special.fdtrc(above, below, value))

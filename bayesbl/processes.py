@@ -1,4 +1,4 @@
-"""Parallel work: processes, each on one thread of linear algebra, and threads."""
+"""Parallel work in processes, each with one thread of linear algebra, and in threads."""
 
 from __future__ import annotations
 
@@ -25,18 +25,17 @@ _THREADS = (
 )
 
 _WORKER = ExitStack()
-"""What a worker is within, for as long as it lives."""
+"""Contexts that a worker is in for its whole life."""
 
 
 @contextmanager
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of processes, which end with the block, with this process, and at once on an error.
+    """A pool of processes, which end with the block, with this process, or at once on an error.
 
-    They are started afresh: a forked child would inherit the state of numba's and the simulator's
-    threads. Each uses one thread, as linear algebra on many rounds differently and the numbers must
-    not depend on the workers. They take functions of modules: the script that runs is not imported.
-
-    Raises WorkerError if a process dies.
+    They are started afresh, because a fork would copy the state of threads of numba and the
+    simulator. Each uses one thread, because linear algebra rounds differently on several, and the
+    numbers must not depend on the workers. They run functions of modules; the running script is not
+    imported. Raises WorkerError if a process dies.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_start)
@@ -63,7 +62,7 @@ def _start() -> None:
 
 
 def _end_with_parent() -> None:
-    """Workers of a run that was killed would wait for work for ever."""
+    """End with the parent: workers of a killed run would wait forever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -72,7 +71,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Processes that start meanwhile use one thread each."""
+    """Processes started in the block use one thread each."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
@@ -87,7 +86,7 @@ def _single_threaded() -> Iterator[None]:
 
 @contextmanager
 def _script_not_imported() -> Iterator[None]:
-    """Processes that start meanwhile do not run the script again, which may lack a guard."""
+    """Processes started in the block do not run the script again, which may lack a guard."""
     main = sys.modules["__main__"]
     names = ("__file__", "__spec__")
     before: dict[str, Any] = {name: vars(main)[name] for name in names if name in vars(main)}
@@ -106,7 +105,7 @@ Result = TypeVar("Result")
 def in_threads(
     function: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> list[Result]:
-    """What a function makes of each item, in their order; in so many threads."""
+    """The function applied to each item, in order, in this number of threads."""
     items = list(items)
     if workers <= 1 or len(items) <= 1:
         return [function(item) for item in items]

@@ -1,4 +1,4 @@
-"""What a long computation calls to tell how far it is."""
+"""Callbacks that report the progress of a long computation."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Callable
 from functools import partial
 
 Progress = Callable[[int, int], None]
-"""Called with (steps made, steps allowed)."""
+"""Called with (steps done, steps allowed)."""
 
 StageProgress = Callable[[str, int, int], None]
-"""Called with (what is being done, steps made, steps allowed)."""
+"""Called with (stage, steps done, steps allowed)."""
 
 
 def silent(made: int, allowed: int) -> None:
-    """Nobody is told."""
+    """Report nothing."""
 
 
 def of_stage(progress: StageProgress | None, stage: str) -> Progress:

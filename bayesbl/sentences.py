@@ -1,6 +1,6 @@
 """The sentence of every reason that a measurement gives, from its code and numbers.
 
-A measurement stores codes and numbers alone; whoever shows or writes one asks here, and nothing
+Measurements store codes and numbers only. Whoever shows them gets the sentence here, and nothing
 reads a sentence back.
 """
 
@@ -29,10 +29,10 @@ UNLESS_REPAIRED = (
 
 
 def sentence(reason: Mapping[str, Any]) -> str:
-    """What a stored reason says, with all that stands beneath it.
+    """The sentence of a stored reason, with those of all reasons below it.
 
-    ``reason``: ``code``, the values of its sentence by name; ``recordings`` where it holds for some
-    alone, ``also`` with further reasons.
+    ``reason`` has its ``code``, the values of its sentence, ``recordings`` if it concerns only
+    some, and ``also`` with further reasons.
     """
     values = {k: v for k, v in reason.items() if k not in _NO_VALUES}
     made = SENTENCES.get(reason["code"], "{text}")
@@ -51,9 +51,9 @@ _NO_VALUES = ("code", "recordings", "also", "withholds", "route", "delta_error_r
 
 
 class _Units(Formatter):
-    """``{share:.0f %}`` is a share in per cent, ``{gap_rad:.2g mrad}`` an angle of so many rad.
+    """``{share:.0f %}`` is a share in per cent, ``{gap_rad:.2g mrad}`` an angle given in rad.
 
-    A list is set with commas.
+    Items of a list are separated by commas.
     """
 
     def format_field(self, value: Any, form: str) -> str:
@@ -67,7 +67,7 @@ class _Units(Formatter):
 
 
 def with_sentences(summary: Any) -> Any:
-    """A stored summary with the sentence of every reason in it, as ``text``."""
+    """A stored summary with the sentence of every reason as ``text``."""
     if isinstance(summary, Mapping):
         whole = {key: with_sentences(value) for key, value in summary.items()}
         if "code" in summary:
@@ -77,12 +77,12 @@ def with_sentences(summary: Any) -> Any:
 
 
 def of_flaw(flaw: str, **values: Any) -> str:
-    """What speaks against draws, or is to be known of them."""
+    """The sentence of a flaw of draws."""
     return sentence({"code": flaw, **values})
 
 
 def flaws_in_words(flaws: Iterable[Flaw]) -> list[str]:
-    """A sentence for each."""
+    """A sentence for each flaw."""
     return [of_flaw(flaw.code, **flaw.values) for flaw in flaws]
 
 
@@ -102,7 +102,7 @@ def beyond_curve(
 
 
 def other_speed(curve_rpm: float, recording_rpm: float, relative_error: float) -> str:
-    """The curve is of another speed."""
+    """The curve is for another speed."""
     side = "small" if relative_error < 0.0 else "large"
     return (
         f"The gap curve is for {curve_rpm:g} rpm, but the recording is at {recording_rpm:.4g} rpm, "
@@ -124,7 +124,8 @@ def repeats_beyond_noise(
 ) -> str:
     """Simulation and recording disagree.
 
-    ``times``: as wide as the interval of δ is for that; ``could_be``: what explains most of it.
+    ``times``: factor on the interval of δ that allows for it; ``could_be``: what explains most of
+    it.
     """
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part = "the part that repeats every rotation"
@@ -151,7 +152,8 @@ def repeats_beyond_noise(
 
 
 def bench_lacks(parameters: Sequence[Mapping[str, Any]], alike: Sequence[str]) -> str:
-    """Values that explain the recordings and are not the bench's, and what would look the same."""
+    """Values that explain the recordings but differ from the bench, and what would look the
+    same."""
     from bayesbl.bench.effects import EFFECT_BY_NAME
 
     several = len({parameter["recording"] for parameter in parameters}) > 1
@@ -184,7 +186,7 @@ def spoken(name: str) -> str:
 
 
 def as_estimated(name: str, measured: float, expected: float, unit: str, recording: object) -> str:
-    """A value that is not the expected one, in words."""
+    """A value that differs from the expected one, in words."""
     text = f"{spoken(name)} of {measured:.4g} instead of {expected:.4g} {unit}".rstrip()
     if not expected:
         return text
@@ -193,7 +195,7 @@ def as_estimated(name: str, measured: float, expected: float, unit: str, recordi
 
 
 def would_look_the_same(names: Sequence[str]) -> str:
-    """What the recordings cannot tell from what changed."""
+    """What the recordings cannot distinguish from what changed."""
     *others, last = map(spoken, names)
     listed = f"{', '.join(others)} or {last}" if others else last
     return f"{listed[0].upper()}{listed[1:]} would look the same."
@@ -202,7 +204,7 @@ def would_look_the_same(names: Sequence[str]) -> str:
 def quantity_changed(
     quantity: str, measured: float, expected: float, unit: str, recording: str = ""
 ) -> str:
-    """A quantity that the gap hardly moves; ``recording`` where there are more than two."""
+    """A quantity that the gap hardly affects changed; ``recording`` if there are more than two."""
     direction = "rose" if measured > expected else "fell"
     places = max(0, 2 - math.floor(math.log10(max(abs(measured - expected), 1e-9))))
     before, after = number(expected, places), number(measured, places)
@@ -213,7 +215,7 @@ def quantity_changed(
 
 
 def filter_changed(least_share: float, recording: str = "") -> str:
-    """Of the recorded speed, by the colour of its noise."""
+    """The filter of the recorded speed changed, by the colour of its noise."""
     direction = "raise" if least_share > 0.0 else "lower"
     return (
         f"The spectrum of the speed's noise changed{_in(recording)}, as after another filter or "
@@ -232,7 +234,7 @@ def line_changed(
     furthest_share: float,
     recording: str = "",
 ) -> str:
-    """A line of the motor that changed and may be all that moved the ringing."""
+    """A line of the motor changed, which may be all that changed the ringing."""
     direction = "rose" if measured > expected else "fell"
     return (
         f"The {quantity} at motor order {order} {direction} from {expected:.2g} to {measured:.2g} "
@@ -259,7 +261,7 @@ CAUSES = {
     "ringing frequency": "payload, stiffness, gains or a filter of the drive",
     "ringing decay": "damping, gains or a filter of the drive",
 }
-"""What of the joint moves a quantity that snapshots are compared by."""
+"""What in the joint affects a quantity by which snapshots are compared."""
 
 UNSEEN_WITHOUT_CURRENT = "the speed controller's gains, the torque constant and friction"
 
@@ -267,7 +269,7 @@ _TOO_SMALL = "too small for these recordings to show"
 
 
 def change_unseen(quantity: str, share: float | None) -> str:
-    """How much a quantity may change; ``None`` where noise hides it."""
+    """How much a quantity may change; ``None`` if noise hides it."""
     change = f"a change of the {quantity}, which one of the recordings does not show"
     if share is not None:
         change = f"a change of the {quantity} by less than {100.0 * share:.2g} %"
@@ -275,7 +277,7 @@ def change_unseen(quantity: str, share: float | None) -> str:
 
 
 def parameter_unseen(name: str, size: float, expected: float, unit: str) -> str:
-    """A change of the bench that is too small to be shown: a share of its value, or in its unit."""
+    """A change of the bench too small to detect: a share of its value, or in its unit."""
     change = f"{size:.2g} {unit}".rstrip()
     if expected:
         change = f"{100.0 * size / abs(expected):.2g} %"
@@ -283,7 +285,7 @@ def parameter_unseen(name: str, size: float, expected: float, unit: str) -> str:
 
 
 def held_compliance_unseen(items: Sequence[Mapping[str, Any]]) -> str:
-    """Friction or compliance that changed, and holds more or less of the joint's compliance."""
+    """A change of friction or compliance, which changes the compliance that friction holds."""
     changes = []
     for item in items:
         milli = item["unit"].startswith("rad")
@@ -297,13 +299,13 @@ _LIKE_PLAY = "ramps cannot distinguish it from play"
 
 
 def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
-    """The other route has no answer; ``because``: its reasons."""
+    """The other route has no answer, ``because`` of these reasons."""
     why = " ".join(dict.fromkeys(map(sentence, because)))
     return f"The answer is the estimate by the ringing, because simulation has none: {why}"
 
 
 def routes_disagree(names: Sequence[str], witness: bool = False) -> str:
-    """Two routes answer, and not alike; the second may be a ``witness`` that needs no bench."""
+    """Two routes give different answers; the second may be a ``witness`` that needs no bench."""
     where = f"disagree beyond their intervals in {', '.join(names)}"
     if witness:
         return (
@@ -330,7 +332,7 @@ def one_date(count: int, repaired: bool) -> str:
 def ramps_held(
     skipped_nm: Sequence[float], amplitude_nm: float, needed_nm: float, friction_nm: float
 ) -> str:
-    """Ramps of torque that do not show the play."""
+    """Torque ramps that do not show the play."""
     if skipped_nm:
         held = ", ".join(f"±{torque:.3g}" for torque in skipped_nm)
         return (
@@ -377,7 +379,7 @@ def soft_flanks(relative_compliance: float, times: float, share: float) -> str:
 
 
 def torque_offset(low_nm: float, high_nm: float) -> str:
-    """The torque has another zero."""
+    """The torque has an offset."""
     low, high = f"{low_nm:.2g}", f"{high_nm:.2g}"
     about = low if low == high else f"{low} to {high}"
     return (
@@ -388,7 +390,7 @@ def torque_offset(low_nm: float, high_nm: float) -> str:
 
 
 def tolerance_decides(name: str, side: str, shift_rad: float) -> str:
-    """δ follows a value that is at the edge of what the bench states of it, or beyond."""
+    """δ depends on a value at or beyond the edge of the bench's tolerance."""
     effect, dot, _ = name.partition(".")
     width, mend = "tolerance", "Correct the bench file, or widen this tolerance."
     if dot:
@@ -403,7 +405,7 @@ def tolerance_decides(name: str, side: str, shift_rad: float) -> str:
 def gap_unseen(
     pull_rpm_per_s: float, bound_rad: float | None = None, is_larger: bool = False, level: float = 0
 ) -> str:
-    """In a motion the load stays on one flank, with the bound that this leaves."""
+    """In this motion the load stays on one flank, with the bound that this leaves."""
     bound = ""
     if bound_rad is not None:
         side = "larger" if is_larger else "smaller"
@@ -767,4 +769,4 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         f"{math.sqrt(times):.2g} times as wide."
     ),
 }
-"""Code to its sentence, with places for values, or to what makes it of them."""
+"""Sentence by code, with fields for values, or the function that makes it."""

@@ -1,7 +1,7 @@
-"""Units at the edges: recordings may come in rpm, degrees or milliseconds.
+"""Units of input: recordings may come in rpm, degrees or milliseconds.
 
-Each quantity that a recording may hold has one unit inside the package, named at the end of its
-channel name; :func:`conversion_factor` converts from the other accepted units.
+Each quantity of a recording has one unit inside the package, at the end of its channel name.
+:func:`conversion_factor` converts from the other accepted units.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ _WORDS = {
     )
     for word in words.split()
 }
-"""What files write for units, in small letters without spaces and dots."""
+"""Units as files write them, in small letters without spaces and points."""
 
 _PREFIXES = {
     "time": {"milli": 1e-3, "micro": 1e-6, "nano": 1e-9, "m": 1e-3, "u": 1e-6, "n": 1e-9},
@@ -82,7 +82,7 @@ _PREFIXES = {
     "torque": {"m": 1e-3, "c": 1e-2, "k": 1e3},
 }
 _TURNS_BY_MINUTE = frozenset(("1", "r", "u", "umdr", "tr", "giri", "obr"))
-"""Each is a turn by the minute; by the second some are radians or counts as well."""
+"""Turns, if per minute; per second, some are radians or counts."""
 
 _TURNS_BY_SECOND = frozenset(("u", "umdr", "tr"))
 _SIGNS = str.maketrans(
@@ -117,11 +117,12 @@ _UNIT_OF_ENDING = {
     "_a": "A",
     "_s": "s",
 }
-"""Longest endings first: the first match wins."""
+"""Units by ending; the first match wins, so longer endings come first."""
 
 
 def quantity_and_unit(parameter: str) -> tuple[str, str]:
-    """A parameter's name in words and its unit: ``friction torque``, ``N m``; or an empty unit."""
+    """A parameter's name in words and its unit (``friction torque``, ``N m``); the unit may be
+    empty."""
     for ending, unit in _UNIT_OF_ENDING.items():
         if parameter.endswith(ending):
             return parameter.removesuffix(ending).replace("_", " "), unit
@@ -135,13 +136,13 @@ def in_words(name: str) -> str:
 
 
 def dimension_of(channel: str) -> str | None:
-    """The dimension of a channel by the unit that its name ends in, ``None`` if there is none."""
+    """Dimension of a channel by the unit at the end of its name, or ``None``."""
     unit = unit_of(channel)
     return next((d for d, units in _FACTORS.items() if next(iter(units)) == unit), None)
 
 
 def unit_of(channel: str) -> str:
-    """The package's own unit of a channel, empty if its suffix is unknown."""
+    """The package's unit of a channel; empty for an unknown ending."""
     return quantity_and_unit(channel)[1]
 
 
@@ -161,16 +162,15 @@ _SIZES = {
     "torque": '"% of 12.5 N m" or "0.4 N m" (N at 0.4 m)',
     "speed": '"rpm/7" (of 7 pole pairs) or "rev/s/4096" (4096 counts a turn)',
 }
-"""How a unit with a number is written: samples of 4 ms, counts of a turn, pole pairs, a lever."""
+"""Units with a number: samples of 4 ms, counts per turn, pole pairs, a lever."""
 
 
 def conversion_factor(channel: str, unit: str) -> float:
-    """Factor that brings a value in ``unit`` to the channel's own unit.
+    """Factor from ``unit`` to the channel's own unit.
 
-    Beside :func:`accepted_units` a multiple (``4 ms``), a part (``rev/4096`` for counts of an
-    encoder, ``rpm/7`` for electrical speed) or a share (``% of 12.5 A``, ``‰ of 2.4 N m``) of one.
-
-    Raises KeyError if the unit is none of these.
+    Besides :func:`accepted_units`, the unit may be a multiple (``4 ms``), a part (``rev/4096`` for
+    counts, ``rpm/7`` for electrical speed) or a share (``% of 12.5 A``, ``‰ of 2.4 N m``). Raises
+    KeyError for any other unit.
     """
     return _factor(_FACTORS.get(dimension_of(channel) or "", {}), unit)
 
@@ -194,7 +194,7 @@ def _factor(units: Mapping[str, float], unit: str) -> float:
 
 
 def is_accepted(channel: str, unit: str) -> bool:
-    """Whether a column of this channel may come in this unit, with or without a number in it."""
+    """Whether a column of this channel may have this unit, with or without a number."""
     try:
         return math.isfinite(conversion_factor(channel, unit))
     except KeyError:
@@ -202,7 +202,7 @@ def is_accepted(channel: str, unit: str) -> bool:
 
 
 def choice_of_units(channel: str) -> str:
-    """The units that a column of this channel may come in, in words."""
+    """Units that a column of this channel may have, in words."""
     units = accepted_units(channel)
     if not units:
         return "no unit"
@@ -212,10 +212,10 @@ def choice_of_units(channel: str) -> str:
 
 
 def spelled(unit: str) -> str:
-    """A unit as files spell it, in this package's spelling if it is one; else as it is.
+    """A unit in this package's spelling; unchanged if it is unknown.
 
-    ``r/min``, ``min⁻¹`` and ``revolutions per minute`` are ``rpm``; ``0.1 r/min``, ``10^3 rpm`` and
-    ``mdeg`` are multiples: ``0.1 rpm``, ``krpm`` and ``0.001 deg``.
+    ``r/min``, ``min⁻¹`` and ``revolutions per minute`` become ``rpm``; ``0.1 r/min``, ``10^3 rpm``
+    and ``mdeg`` become ``0.1 rpm``, ``krpm`` and ``0.001 deg``.
     """
     text = unit.strip()
     if is_unit(text):
@@ -271,7 +271,7 @@ def _word(word: str) -> tuple[str, float] | None:
 
 
 def is_unit(text: str) -> bool:
-    """Whether this is a unit, of any dimension, in this package's spelling."""
+    """Whether this is a unit of any dimension in this package's spelling."""
     for units in _FACTORS.values():
         try:
             return math.isfinite(_factor(units, text))

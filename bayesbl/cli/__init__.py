@@ -1,6 +1,6 @@
-"""The command line: options to configurations, workflows run, results printed, exit statuses.
+"""The command line and its exit statuses.
 
-``--help`` has to answer at once, so nothing heavy is imported before a command needs it.
+``--help`` must answer at once, so nothing heavy is imported before a command needs it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _UsageError: Any = typer.BadParameter.__bases__[0]
 """click's, or that of typer's own copy of click."""
 
 INTERRUPTED = 130
-"""How typer ends after Ctrl-C."""
+"""Status with which typer ends after Ctrl-C."""
 
 app = typer.Typer(
     help="The backlash gap of a robot joint, and how it changed, from recordings of motor speed.",
@@ -84,7 +84,7 @@ def main() -> None:
 
 
 def _open_what_is_closed() -> None:
-    """A service may have no standard output: prints go nowhere, and files never get its number."""
+    """Open missing standard streams, as of a service, so that files never get their numbers."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         if number > 0:
             name = ("stdout", "stderr")[number - 1]
@@ -93,7 +93,7 @@ def _open_what_is_closed() -> None:
 
 
 def status(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line, ``sys.argv``'s by default, and return its exit status."""
+    """Run a command line, by default ``sys.argv``, and return its exit status."""
     from bayesbl.presentation.terminal import (
         error,
         make_console,

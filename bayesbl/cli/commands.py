@@ -1,4 +1,4 @@
-"""Every command: its options, and what it asks of the package."""
+"""Every command with its options."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bayesbl.runs.workflow import Plan
 
 FAILED, WRONG, WITHHELD = 1, 2, 3
-"""A bug or Ctrl-C; wrong usage, configuration or input; an answer that is withheld."""
+"""Statuses: a bug or Ctrl-C; wrong usage, configuration or input; a withheld answer."""
 
 
 FIGURES: ContextVar[tuple[str, ...]] = ContextVar("figures", default=("png",))
@@ -32,7 +32,7 @@ _ANYWHERE = ("--no-figures", "--pdf")
 
 
 def brought_forward(arguments: Sequence[str]) -> list[str]:
-    """The same arguments with these options before the command, where they are read."""
+    """The arguments with global options moved in front of the command."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     ours = [text for text in arguments[:end] if text in _ANYWHERE]
     others = [text for text in arguments[:end] if text not in _ANYWHERE]
@@ -42,7 +42,7 @@ def brought_forward(arguments: Sequence[str]) -> list[str]:
 def run_file(
     config: Path, force: bool, json: bool, *, kind: str | None = None, **options: Any
 ) -> None:
-    """Run a configuration file, of ``kind`` or of its own, with options over it."""
+    """Run a configuration file, of this kind or of its own, with options over it."""
     from bayesbl.runs.kinds import kind_of, load_run
 
     if (kind or kind_of(config)) == "simulate":
@@ -52,7 +52,7 @@ def run_file(
 
 
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
-    """Run, print the answer, and leave with the status of a withheld one if it is."""
+    """Run, print the answer, and exit with the status of a withheld one if it is."""
     from bayesbl.libraries import bare
 
     with bare(dask=getattr(config.run, "scheduler", None) is not None):
@@ -83,7 +83,7 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
 
 
 def print_json(summary: Mapping[str, Any]) -> None:
-    """A summary in UTF-8, whatever the terminal's encoding, as it is stored."""
+    """Print a summary as stored, in UTF-8 whatever the terminal's encoding."""
     from bayesbl.presentation.terminal import STEERING
     from bayesbl.results.store import json_text
 
@@ -92,7 +92,7 @@ def print_json(summary: Mapping[str, Any]) -> None:
 
 
 def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) -> None:
-    """Make the recordings, and print the files written."""
+    """Make the recordings and print their files."""
     from bayesbl.presentation.terminal import say
     from bayesbl.runs.simulate import run_simulate
 
@@ -120,7 +120,7 @@ _Value = TypeVar("_Value")
 
 
 def _parser(read: Callable[[str], _Value], expected: str) -> Callable[[str], _Value]:
-    """An option's value by ``read``; its range is the configuration's to check."""
+    """Parse an option's value with ``read``; its range is checked by the configuration."""
 
     def parse(text: str) -> _Value:
         try:
@@ -138,7 +138,7 @@ _PARSERS: Mapping[Any, Callable[[str], Any]] = {
     list[date]: _parser(date.fromisoformat, "a date, e.g. 2026-03-01"),
     date: _parser(date.fromisoformat, "a date, e.g. 2026-03-01"),
 }
-"""By an option's unit, or else its type."""
+"""Parser by an option's unit, or else its type."""
 
 _TYPES: Mapping[str, Any] = {
     "path": Path,
@@ -210,8 +210,8 @@ export.bench | path | FILE|RESULT | The bench it was measured with. [default: th
 export.out | path | FOLDER | Output folder. [default: RESULT_export]
 export.force | flag | - | Replace files that exist.
 """
-"""Options as parameters have them, some of one command alone: type, unit and help, which goes on in
-lines that are indented."""
+"""Options: name (with a command if it has its own), type, unit and help. Indented lines continue
+the help."""
 
 _ROWS = _OPTIONS.strip().replace("\n    ", " ").splitlines()
 OPTIONS = {name: row for name, *row in (line.split(" | ") for line in _ROWS)}
@@ -236,7 +236,7 @@ def _parameter(name: str, command: str) -> inspect.Parameter:
 
 
 def _takes(options: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """The command with these options, by name, in the place of its ``**given``."""
+    """Replace a command's ``**given`` by these options."""
 
     def with_options(command: Callable[..., None]) -> Callable[..., None]:
         *own, _ = inspect.signature(command, eval_str=True).parameters.values()
@@ -337,7 +337,7 @@ def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) ->
 
 
 def _print_findings(plan: Plan) -> None:
-    """Warnings and problems; with a problem the command ends here."""
+    """Print warnings and problems; exit if there is a problem."""
     from bayesbl.presentation.terminal import error, make_console, say
 
     for warning in plan.warnings:
@@ -397,7 +397,7 @@ def _run_options(
     dates: Sequence[date] | None = None,
     **options: Any,
 ) -> None:
-    """Run what options state over a configuration; a flag that is not set states nothing."""
+    """Run options over a configuration; an unset flag states nothing."""
     from bayesbl.config.loading import config_from_options
 
     stated = {name: None if value is False else value for name, value in options.items()}
@@ -470,7 +470,7 @@ def collect_command(
 
 
 def _log(text: str | None) -> None:
-    """On standard error, at once: a service's journal shows it as it happens."""
+    """Print to standard error at once, for a service's journal."""
     from bayesbl.presentation.terminal import say
 
     if text is not None:
@@ -485,7 +485,7 @@ def _tell(row: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Ctrl-C and the end of a service are how these commands end: cleanly, with status 0."""
+    """End cleanly, with status 0, on Ctrl-C or when a service is stopped."""
     before: Callable[..., Any] | int | None = signal.signal(
         signal.SIGTERM, signal.default_int_handler
     )

@@ -1,8 +1,8 @@
 """Bench files: from TOML to a :class:`Bench`, and back.
 
-Units may be those that data sheets and drives print. Some numbers are printed as something else: a
-reset time stands for the integral gain, a bandwidth for the proportional gain, a damping ratio for
-the damping. They are converted with the other parameters of the same bench.
+Units may be those of data sheets and drives. Some of these numbers have another meaning: a reset
+time stands for the integral gain, a bandwidth for the proportional gain, a damping ratio for the
+damping. They are converted with the other parameters of the bench.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ARCMIN_PER_RAD = 60.0 * 180.0 / math.pi
 
 Values = Mapping[str, float]
 Conversion = Callable[[float, Values], float]
-"""From the printed number, and the bench's parameters converted so far, to the bench's unit."""
+"""From the printed number, and the parameters converted so far, to the bench's unit."""
 
 
 def _times(factor: float) -> Conversion:
@@ -90,11 +90,12 @@ CONVERSIONS: Mapping[str, Mapping[str, Conversion]] = {
     "reference_speed_rpm": {"rpm": _times(1.0), "rad/s": _times(RPM_PER_RAD_PER_S)},
     "current_limit_a": {"A": _times(1.0), "mA": _times(1e-3)},
 }
-"""Parameter to the units it may be printed in, its own first; later ones may need earlier ones."""
+"""Units in which a parameter may be printed, its own first; later parameters may need earlier
+ones."""
 
 
 def accepted(name: str) -> tuple[str, ...]:
-    """Units that a parameter may be given in."""
+    """Units in which a parameter may be given."""
     return tuple(CONVERSIONS.get(name, {PARAMETER_INFO[name].unit: None}))
 
 
@@ -106,13 +107,13 @@ def spelled(unit: str) -> str:
 
 
 def reduced_inertia_kg_m2(bench: Values) -> float:
-    """Of motor and load on the shaft, seen at the load: 1/(1/J_l + 1/(N² J_m))."""
+    """Reduced inertia of motor and load, seen at the load: 1/(1/J_l + 1/(N² J_m))."""
     motor = bench["gear_ratio"] ** 2 * bench["motor_inertia_kg_m2"]
     return 1.0 / (1.0 / bench["load_inertia_kg_m2"] + 1.0 / motor)
 
 
 def _total_inertia(bench: Values) -> float:
-    """Of motor and load, seen at the motor."""
+    """Inertia of motor and load, seen at the motor."""
     return bench["motor_inertia_kg_m2"] + bench["load_inertia_kg_m2"] / bench["gear_ratio"] ** 2
 
 
@@ -122,7 +123,7 @@ LONGEST_AVERAGE_S = AVERAGING.parameter("time_s").high
 
 
 class _Uncertain(Section):
-    """A value whose uncertainty is stated in one way at most."""
+    """A value with at most one statement of its uncertainty."""
 
     value: float
     tolerance: Tolerance = Field(default=None, ge=0.0)
@@ -152,7 +153,7 @@ class ParameterEntry(_Uncertain):
     unit: str | None = None
 
     def parameter(self, value: float) -> BenchParameter:
-        """As the bench takes it; ``value`` in the bench's own unit."""
+        """The bench's parameter; ``value`` is in the bench's own unit."""
         if self.relative_tolerance is not None:
             return BenchParameter(value, self.relative_tolerance * abs(value))
         unit = abs(value / self.value) if value != self.value and self.value else 1.0
@@ -161,7 +162,7 @@ class ParameterEntry(_Uncertain):
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """What a part of a bench refuses is refused here in the same words."""
+    """Refuse what a part of a bench refuses, in the same words."""
     try:
         yield
     except BenchError as error:
@@ -169,7 +170,7 @@ def _refusing() -> Iterator[None]:
 
 
 def kind_of(noise: NoiseModel) -> str:
-    """What a bench file calls noise."""
+    """Name of the kind of noise in a bench file."""
     if noise.degrees_of_freedom is not None:
         return "student_t"
     return "ar" if noise.coefficients else "white"
@@ -195,7 +196,7 @@ class _NoiseEntry(Section):
                 )
 
     def model(self) -> NoiseModel:
-        """As the bench takes it."""
+        """The noise model."""
         return NoiseModel(self.sd, self.coefficients, self.degrees_of_freedom)
 
 
@@ -240,7 +241,7 @@ class MeasurementSection(Section):
             )
 
     def measurement(self) -> Measurement:
-        """As the bench takes it."""
+        """The bench's measurement."""
         return Measurement(
             encoder_counts=self.encoder_counts,
             speed_source=self.speed_source,
@@ -259,7 +260,7 @@ class EffectValue(_Uncertain):
     sd: float | None = Field(default=None, ge=0.0)
 
     def parameter(self) -> EffectParameterValue:
-        """As the bench takes it."""
+        """The bench's parameter."""
         half_width = self.tolerance
         if self.relative_tolerance is not None:
             half_width = self.relative_tolerance * abs(self.value)
@@ -288,7 +289,7 @@ class _Spring(Section):
     damping_nm_s_per_rad: EffectValue = EffectValue(value=0.0)
 
     def effect(self, values: Values) -> BenchEffect:
-        """As the bench takes it; ``values``: the bench's parameters."""
+        """The bench's effect; ``values`` are the bench's parameters."""
         name, key, parameter, whole = self.as_effect
         inertia: EffectValue = getattr(self, key)
         own = inertia.parameter()
@@ -303,7 +304,7 @@ class _Spring(Section):
 
 
 def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
-    """The ratio of two values, its relative variance their sum."""
+    """Ratio of two values; its relative variance is the sum of theirs."""
     ratio = above.value / below.value
     relative = [(item.parameter().sd or 0.0) / item.value for item in (above, below)]
     sd = abs(ratio) * math.hypot(*relative)
@@ -347,7 +348,7 @@ class ArmSection(_Spring):
     gravity_share: EffectValue = EffectValue(value=0.5)
 
     def effect(self, values: Values) -> BenchEffect:
-        """See :class:`_Spring`."""
+        """The bench's effect, with the share of gravity."""
         spring = super().effect(values)
         parts = {**spring.parameters, "gravity_share": self.gravity_share.parameter()}
         return BenchEffect(spring.name, parts)
@@ -380,7 +381,7 @@ class GapSection(Section):
                 )
 
     def effect(self) -> BenchEffect:
-        """As the bench takes it."""
+        """The bench's effect."""
         parts = {f"cosine_{k}": entry.parameter() for k, entry in enumerate(self.cosine, start=1)}
         parts |= {f"sine_{k}": entry.parameter() for k, entry in enumerate(self.sine, start=1)}
         return BenchEffect("gap_variation", parts)
@@ -405,14 +406,14 @@ class EffectEntry(Section):
 
 
 class _LearnedSection(Section):
-    """A term of no known law; what makes no sense is refused as the term itself refuses it."""
+    """A learned term; what the term itself refuses is refused here."""
 
     def require_sound(self) -> None:
         with _refusing():
             self.learned()
 
     def learned(self) -> LearnedTerm:
-        """As the bench takes it."""
+        """The bench's learned term."""
         return LearnedTerm(**dict(self))
 
 
@@ -449,7 +450,7 @@ class EncoderErrorSection(_LearnedSection):
     sd: Items[float] = Field(default=(), alias="sd_rad")
 
     def learned(self) -> LearnedTerm:
-        """As the bench takes it."""
+        """The bench's learned term."""
         return LearnedTerm(side=ENCODER, variable="motor_angle", constant=0.0, **dict(self))
 
 
@@ -495,7 +496,7 @@ class BenchFile(Section):
         )
 
     def _effects(self, values: Mapping[str, float]) -> Iterator[BenchEffect]:
-        """As the bench takes them; ``values``: its parameters."""
+        """The bench's effects; ``values`` are the bench's parameters."""
         for effect in self.effects:
             yield BenchEffect(effect.name, {k: v.parameter() for k, v in effect.parameters.items()})
         for spring in (self.belt, self.arm, self.base):
@@ -537,10 +538,7 @@ class BenchFile(Section):
             ) from None
 
     def bench(self) -> Bench:
-        """The bench.
-
-        Raises BenchError if its parameters make no physical sense together.
-        """
+        """The bench. Raises BenchError if its parameters make no physical sense together."""
         values = self._values()
         given = {name: entry.parameter(values[name]) for name, entry in self.parameters.items()}
         idle = {
@@ -581,10 +579,7 @@ def load_bench(path: File) -> Bench:
 
 
 def parse_bench(text: str, path: str | Path) -> Bench:
-    """The bench of a bench file's text that a result holds; ``path`` is named by refusals.
-
-    Raises ConfigError as :func:`load_bench`.
-    """
+    """The bench of a bench file's text in a result; ``path`` is named by a ConfigError."""
     try:
         return _bench_of(BenchFile.model_validate(tomllib.loads(text)), path)
     except ValueError as error:
@@ -599,13 +594,13 @@ def _bench_of(loaded: BenchFile, path: str | Path) -> Bench:
 
 
 def reference_bench() -> Bench:
-    """The bench that the package ships: its A(δ) follows the paper's eq. 4."""
+    """The bench of the package, whose A(δ) follows the paper's eq. 4."""
     with resources.as_file(resources.files("bayesbl.bench") / REFERENCE_BENCH) as path:
         return load_bench(path)
 
 
 def dump_bench(bench: Bench) -> str:
-    """The bench as a bench file; it loads back to an equal one."""
+    """The bench as a bench file, which loads back to an equal one."""
     measurement = bench.measurement
     tables: dict[str, Any] = {
         "schema": 1,

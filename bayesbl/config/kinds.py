@@ -1,4 +1,4 @@
-"""Every kind of file and its model; those of measurements and benches have files of their own."""
+"""The configuration models of all kinds, except those of measurements and benches."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class TorqueRampMotion(Section):
 
     @property
     def duration_s(self) -> float:
-        """Of all cycles."""
+        """Duration of all cycles."""
         return len(self.torque_nm) * self.cycles * self.period_s
 
 
@@ -182,7 +182,7 @@ _PLACES = {"{joint}", "{date}"}
 
 
 def _source_of_recordings(value: object, info: ValidationInfo) -> str:
-    """The pattern or the table as a whole path."""
+    """The pattern or the table as an absolute path."""
     if not isinstance(value, str) or not value.strip() or "\0" in value:
         refuse("This is neither a pattern nor a table of recordings.", expected="text")
     places = set(re.findall(r"\{[^{}]*\}", value))
@@ -235,7 +235,7 @@ class FleetSection(Section):
 
     @property
     def is_pattern(self) -> bool:
-        """Whether the recordings are found by a pattern."""
+        """Whether a pattern finds the recordings."""
         return "{joint}" in self.recordings
 
 
@@ -281,7 +281,7 @@ Method = Literal["forward", "inverse", "free_motion"]
 
 
 def effect_name(name: str) -> str:
-    """A name of the catalogue; refused if there is none."""
+    """The name of an effect; refused if it is unknown."""
     # Imported here: the catalogue needs the compiled simulator, which takes a second.
     from bayesbl.bench.effects import EFFECT_BY_NAME
 
@@ -289,7 +289,7 @@ def effect_name(name: str) -> str:
 
 
 def bench_parameter(name: str) -> str:
-    """A name of a bench parameter; refused if there is none."""
+    """The name of a bench parameter; refused if it is unknown."""
     from bayesbl.bench.parameters import PARAMETER_INFO
 
     return known_name(name, PARAMETER_INFO, "bench parameter")
@@ -298,7 +298,7 @@ def bench_parameter(name: str) -> str:
 def word_or_names(
     word: str, what: str, known: Callable[[str], str], fewest: int = 1
 ) -> BeforeValidator:
-    """Refuses before the choice between a word and a list, which would report every branch."""
+    """Validate a word or a list of names before the union does, which would report every branch."""
 
     def read(value: object) -> object:
         if value == word:
@@ -476,7 +476,7 @@ class PlanConfig(RunConfig):
 
 
 def _resolve_row(row: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-    """Text that names a file beside the configuration becomes its full path."""
+    """Make the text of a file beside the configuration its absolute path."""
     return {
         key: str(resolve(value, info))
         if key != "name" and isinstance(value, str) and os.path.isfile(resolve(value, info))
@@ -570,7 +570,7 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
         "fleet": FleetConfig,
     }
 )
-"""Kind to the model of its configuration."""
+"""Configuration model by kind."""
 
 FILES: Mapping[str, str] = MappingProxyType(
     {
@@ -586,7 +586,7 @@ FILES: Mapping[str, str] = MappingProxyType(
         "bench": "a virtual bench",
     }
 )
-"""Kind to what a file of this kind holds, in words."""
+"""What a file of each kind holds, in words."""
 
 RUNNABLE = tuple(kind for kind in FILES if kind != "bench")
-"""The kinds that ``bayesbl run`` takes."""
+"""The kinds that ``bayesbl run`` accepts."""

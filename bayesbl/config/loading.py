@@ -1,7 +1,7 @@
 """From a TOML file or command-line options to a validated configuration, and back to TOML.
 
-A configuration is validated whole: everything that is wrong with it is reported at once, in
-sentences that name line and field.
+A configuration is validated as a whole. All problems are reported at once, in sentences with line
+and field.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of
 from bayesbl.units import unit_of
 
 Location = tuple[str | int, ...]
-"""Keys and list positions from the top of a configuration down to a value."""
+"""Keys and list positions from the top of a configuration to a value."""
 
 _TABLE = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
 _KEY = re.compile(r"""^\s*("[^"]*"|'[^']*'|[A-Za-z0-9_.-]+)\s*=""")
@@ -84,7 +84,7 @@ def problems_of(
 
 
 def _origin_of(location: Location, origins: Mapping[Location, str]) -> str | None:
-    """What a value came from in place of the text: an option, or one of the recordings."""
+    """The option or recording that a value came from, instead of the text."""
     known = (origins.get(location[:n]) for n in range(len(location), 0, -1))
     origin = next(filter(None, known), None)
     if origin != "recordings":
@@ -93,7 +93,7 @@ def _origin_of(location: Location, origins: Mapping[Location, str]) -> str | Non
 
 
 def _items_of(error: ValidationError) -> list[dict[str, Any]]:
-    """What pydantic found, except a list called too short only because its items are wrong."""
+    """What pydantic found, except lists called too short only because their items are wrong."""
     items: list[dict[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
     places: list[Location] = [item["loc"] for item in items]
 
@@ -104,10 +104,7 @@ def _items_of(error: ValidationError) -> list[dict[str, Any]]:
 
 
 def _location_of(item: Mapping[str, Any]) -> Location:
-    """Where an error is: where pydantic found it, and on to the part that was refused.
-
-    pydantic's mark for a mapping's key is left out.
-    """
+    """Location of an error, down to the part that was refused, without pydantic's mark for keys."""
     refused: Location = (item.get("ctx") or {}).get("at", ())
     return (*(part for part in item["loc"] if part != "[key]"), *refused)
 
@@ -130,7 +127,7 @@ def _field_name(model: type[BaseModel], location: Location) -> str:
 
 
 def line_numbers(text: str) -> dict[Location, int]:
-    """Line of each table header and key of a TOML text, if they are at the start of a line."""
+    """Line of each table header and key of a TOML text, if it starts a line."""
     lines: dict[Location, int] = {}
     entries: dict[Location, int] = {}
     table: Location = ()
@@ -155,7 +152,7 @@ def _keys(dotted: str) -> Location:
 
 
 def _problem(item: Mapping[str, Any], model: type[BaseModel], location: Location) -> dict[str, Any]:
-    """What is wrong, what was there, and what should be, as an error takes them."""
+    """What is wrong, found and expected, as keywords of an error."""
     context = item.get("ctx") or {}
     match item["type"]:
         case "extra_forbidden":
@@ -206,7 +203,7 @@ def _keys_at(model: type[BaseModel], location: Location) -> list[str]:
 
 
 def _section_of(model: type[BaseModel], key: str | int) -> type[BaseModel] | None:
-    """The section that a key of a section leads to, ``None`` where it leads to a plain value."""
+    """The section at a key of a section; ``None`` for a plain value."""
     return _model_in(_fields(model).get(str(key)))
 
 
@@ -225,14 +222,14 @@ _Model = TypeVar("_Model", bound=Section)
 _Tables = dict[str, Any]
 
 DEEPEST = 30
-"""Levels of tables and lists in a file; what the package writes has seven at most."""
+"""Largest depth of tables and lists in a file; the package writes seven at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Document:
-    """A configuration as it was written, before validation; its paths start from ``directory``.
+    """A configuration before validation; its paths start from ``directory``.
 
-    ``origins`` names what an option set, by location: such problems are not the file's.
+    ``origins`` names the option that set a value, by location: such problems are not the file's.
     """
 
     tables: _Tables
@@ -245,9 +242,8 @@ class _Document:
     def read(cls, path: Path, expected: str, instead_of_recording: str = "") -> _Document:
         """The tables of a file.
 
-        ``expected``: what the file should be, for messages. ``instead_of_recording``: the same
-        where the file is a recording, if that is another thing. Raises ConfigError if there is no
-        such file, or it is not TOML.
+        ``expected`` says what the file should be, ``instead_of_recording`` the same for a
+        recording. Raises ConfigError if there is no such file, or it is not TOML.
         """
         if suffix_of(path) in FORMATS and os.path.isfile(path):
             raise ConfigError(
@@ -267,15 +263,13 @@ class _Document:
 
     @property
     def kind(self) -> str:
-        """What it says it is of; empty if nothing that could be one."""
+        """The kind that it states; empty if that is no text."""
         kind = self.tables.get("kind")
         return kind if isinstance(kind, str) else ""
 
     def of_kind(self, wanted: Collection[str]) -> _Document:
-        """Itself; refused if it is of another kind, whose keys would all be unknown here.
-
-        Raises ConfigError, naming the kind found and those wanted.
-        """
+        """The document itself; another kind is refused, because all of its keys would be
+        unknown."""
         if self.kind not in FILES or self.kind in wanted:
             return self
         if self.kind == "bench":
@@ -290,10 +284,9 @@ class _Document:
         raise self._wrong_kind("This file is of another kind.", _in_words(self.kind), expected)
 
     def validated(self, model: type[_Model]) -> _Model:
-        """As a configuration.
+        """The configuration.
 
-        Raises ConfigError with everything that is wrong; it names the file where all of it is in
-        the text.
+        Raises ConfigError with all problems; it names the file if all of them are in the text.
         """
         try:
             return model.model_validate(self.tables, context={BASE_DIRECTORY: self.directory})
@@ -303,10 +296,7 @@ class _Document:
             raise config_error(problems, self.file if None in places else None) from None
 
     def run_config(self) -> RunConfig:
-        """As the configuration of a run of its kind.
-
-        Raises ConfigError as :meth:`validated`; if it is of no kind that can be run.
-        """
+        """The configuration of a run of its kind; ConfigError also if there is no such kind."""
         if self.kind in KINDS:
             return self.validated(KINDS[self.kind])
         problem, actual = "The kind of run is missing.", "nothing"
@@ -323,10 +313,9 @@ class _Document:
 
 
 def load_file(path: Path, model: type[_Model]) -> _Model:
-    """The file, validated; its paths start from its own folder.
+    """The validated file; its paths start from its own folder.
 
-    Raises ConfigError, naming file and field: no such file, not TOML, another kind, or what the
-    model refuses.
+    Raises ConfigError with file and field: no such file, not TOML, another kind, or refused values.
     """
     (kind,) = get_args(model.model_fields["kind"].annotation)
     document = _Document.read(path, f"a file of kind {_in_words(kind)} in TOML")
@@ -363,7 +352,7 @@ def _parse(text: str, file: Path) -> dict[str, Any]:
 
 
 def _is_deep(tables: Mapping[str, Any]) -> bool:
-    """Whether anything lies deeper than :data:`DEEPEST`; by levels, as a descent may fail."""
+    """Whether anything is deeper than :data:`DEEPEST`, by levels, because recursion may fail."""
     level: list[Any] = [tables]
     for _ in range(DEEPEST):
         level = [
@@ -400,7 +389,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
         "gap_rad": ("gap_rad",),
     }
 )
-"""Command-line option to the field it sets."""
+"""The field that each command-line option sets."""
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
 
@@ -415,13 +404,13 @@ _COMMON_SECTIONS = ("schema", "run", "columns", "interval")
 """Sections that identification and diagnosis take from the configuration of a measurement."""
 
 _OF_A_FILE = ("date", "repaired")
-"""Keys of an entry of ``[[recordings]]`` that are of its file, whatever command it is given to."""
+"""Keys of ``[[recordings]]`` that belong to the file, for any command."""
 
 _OF_A_BENCH = ("identify", "diagnose")
-"""Kinds that ask about the bench, whose files have sections of their own."""
+"""Kinds that examine the bench; their files have sections of their own."""
 
 _LONGEST_OUTPUT = 200
-"""Bytes in the name of an output folder; file systems take 255, and hidden siblings need some."""
+"""Bytes in the name of an output folder; file systems take 255, and hidden siblings add some."""
 
 
 @checked
@@ -455,13 +444,12 @@ def config_from_options(
 ) -> RunConfig:
     """The configuration of a command: options override the file, which overrides the defaults.
 
-    ``kind``: that of ``config``; ``"fit"`` or ``"compare"`` where there are ``recordings``.
-    ``recordings``: files relative to the working directory; they replace those of ``config``, which
-    is asked for what it states of the same files. ``config``: a configuration to start from, of any
-    kind that shares the sections. ``dates``: when each of ``recordings`` was taken, in place of
-    what ``config`` states. ``options``: keys of :data:`OPTIONS`; ``None`` means not given. Paths
-    are relative to the working directory. Raises ConfigError as :func:`load_config`; problems of
-    options are named by the option.
+    ``kind``: that of ``config``, or a measurement if there are ``recordings``. These are relative
+    to the working directory and replace those of ``config``, which may be of any kind that shares
+    the sections; what it states about the same files is kept. ``dates``: when each recording was
+    taken. ``options``: keys of :data:`OPTIONS`, ``None`` if not given, with paths relative to the
+    working directory. Raises ConfigError as :func:`load_config`; problems of options name the
+    option.
     """
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
     document.of_kind(_sharing(kind))
@@ -499,7 +487,7 @@ def config_from_options(
 
 
 def _sharing(kind: str) -> list[str]:
-    """The kinds whose files a run of this kind can start from: those with the same sections."""
+    """Kinds whose files a run of this kind can start from, because they share the sections."""
     measured = [other for other, model in KINDS.items() if issubclass(model, SnapshotConfig)]
     if kind in _OF_A_BENCH:
         return [kind, *measured]
@@ -507,10 +495,7 @@ def _sharing(kind: str) -> list[str]:
 
 
 def require_text_names(paths: Iterable[Path]) -> None:
-    """Refuse names whose bytes are no text: configurations and results could not hold them.
-
-    Raises ConfigError, naming the file.
-    """
+    """Refuse file names that are not UTF-8, which configurations and results could not hold."""
     for path in paths:
         if str(path) != str(path).encode(errors="replace").decode():
             raise ConfigError(
@@ -521,12 +506,12 @@ def require_text_names(paths: Iterable[Path]) -> None:
 
 
 def dump_config(config: RunConfig) -> str:
-    """The configuration as TOML, defaults filled in; it loads back to an equal one."""
+    """The configuration as TOML with all defaults, which loads back to an equal one."""
     return tomli_w.dumps(_plain(config.model_dump(by_alias=True, exclude_none=True)))
 
 
 def files_of(value: Any) -> list[Path]:
-    """Every path in a configuration's tables, as text in the rows of a study too."""
+    """Every path in a configuration's tables, also as text in the rows of a study."""
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, list | tuple):
@@ -543,7 +528,7 @@ def _read(path: Path) -> _Document:
 
 
 def _stated(document: _Document) -> dict[str, _Tables]:
-    """When recordings were taken, by their files, as a configuration states it."""
+    """Date and repair of recordings as a configuration states them, by file."""
     entries = document.tables.get("recordings")
     stated = {}
     for entry in entries if isinstance(entries, list) else []:
@@ -554,7 +539,7 @@ def _stated(document: _Document) -> dict[str, _Tables]:
 
 
 def _place(path: str | Path) -> str:
-    """The same of all names of one file; what is no path is refused where it is read."""
+    """The same text for all names of a file; an invalid path is refused when it is read."""
     try:
         return os.path.realpath(path)
     except ValueError:
@@ -564,9 +549,9 @@ def _place(path: str | Path) -> str:
 def _entries(
     recordings: Sequence[str | Path], dates: Sequence[Date], stated: Mapping[str, _Tables]
 ) -> list[_Tables]:
-    """Entries for recordings given by path, each with a name of its own.
+    """Entries for recordings given by path, each with its own name.
 
-    They have what is ``stated`` of their files if that dates all of them.
+    They take over what is ``stated`` about their files, if that dates all of them.
     """
     entries: list[_Tables] = [
         {"name": name, "file": str(Path(path).absolute())}
@@ -581,7 +566,7 @@ def _entries(
 
 
 def _default_output(kind: str, recordings: Sequence[str | Path], config: str | Path | None) -> str:
-    """Name below ``results``: of recordings with the command, of a configuration its own."""
+    """Name below ``results``: the command with its recordings, or the configuration's own name."""
     if not recordings:
         return Path(config or "run").stem
     stems = dict.fromkeys(name_of(stem_of(Path(p))) for p in (recordings[0], recordings[-1]))
@@ -595,7 +580,7 @@ def _set_default_output(tables: _Tables, name: str) -> None:
 
 
 def _set(tables: _Tables, location: Location, value: object) -> None:
-    """Put a value into a section of its own copy; a section that is no table stays as it is."""
+    """Set a value in a copy of its section; a section that is no table is left."""
     key = str(location[0])
     if len(location) == 1:
         tables[key] = value
@@ -607,7 +592,7 @@ def _set(tables: _Tables, location: Location, value: object) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Paths as text, tuples as lists, all the way down."""
+    """Paths as text and tuples as lists, recursively."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,5 @@
-"""``kind = "fit"`` and ``"compare"``: measured recordings of one joint, and how they are read."""
+"""``kind = "fit"`` and ``"compare"``: measured recordings of one joint, and how they are
+evaluated."""
 
 from __future__ import annotations
 
@@ -92,14 +93,14 @@ class Limit(Section):
 
     @property
     def name(self) -> str:
-        """Unit and kind, as a measured value in them is told: ``arcmin of play``."""
+        """Unit and kind, as a measured value in them is labelled: ``arcmin of play``."""
         _, unit, kind = str(self).split(" ", 2)
         return f"{unit} of {kind.replace('_', ' ').replace('delta', 'δ')}"
 
     def windup_rad(self, torque_nm: float | None, stiffness_nm_per_rad: float | None) -> float:
-        """What the joint gives way at the torque of a lost motion, both ways; 0 of other limits.
+        """Wind-up between the torques of a lost motion; 0 for other limits.
 
-        Raises ConfigError where rated torque or stiffness is missing.
+        Raises ConfigError without rated torque or stiffness.
         """
         if self.at_torque_share is None:
             return 0.0
@@ -114,10 +115,7 @@ class Limit(Section):
         return 2.0 * self.at_torque_share * torque_nm / stiffness_nm_per_rad
 
     def delta_rad(self, windup_rad: float = 0.0) -> float:
-        """The gap at this limit, rad.
-
-        Raises ConfigError where the joint gives way by more than the limit without any play.
-        """
+        """The gap at this limit, rad. Raises ConfigError if the wind-up alone exceeds the limit."""
         whole = self.value * self._rad
         delta = whole if self.of == "delta" else 0.5 * (whole - windup_rad)
         if delta <= 0.0:
@@ -130,7 +128,7 @@ class Limit(Section):
         return delta
 
     def stated(self, delta_rad: float, windup_rad: float = 0.0) -> float:
-        """A gap in the unit and of the kind of this limit: the inverse of :meth:`delta_rad`."""
+        """A gap in the unit and kind of this limit: the inverse of :meth:`delta_rad`."""
         return (delta_rad if self.of == "delta" else 2.0 * delta_rad + windup_rad) / self._rad
 
     @property
@@ -139,7 +137,7 @@ class Limit(Section):
 
 
 LARGEST_LIMIT_RAD = 0.05
-"""Nearly 3°: more than any joint whose gap can be measured by its ringing."""
+"""Nearly 3°, more than any joint whose gap its ringing can show."""
 
 
 def _a_gap(limit_rad: float) -> float:
@@ -241,7 +239,7 @@ class Noise(Section):
 
 
 WITHOUT_BENCH = ("torque_ramp", "two_encoders")
-"""Routes that read nothing but recordings."""
+"""Routes that need only recordings."""
 
 
 class Estimator(Section):
@@ -365,11 +363,11 @@ class SnapshotConfig(RecordedConfig):
         return differently_named(recordings)
 
     def entry_of(self, recording: str) -> MeasuredRecording:
-        """The entry of this name."""
+        """The entry with this name."""
         return next(entry for entry in self.recordings if entry.name == recording)
 
     def require_sound(self) -> None:
-        """What the route, or what it reads δ from, has no use for is refused, not ignored."""
+        """Refuse, rather than ignore, what the route does not use."""
         route, by_bench = self.estimator.route, self.estimator.bench is not None
         by_amplitude, by_curve = route == "amplitude", self.curve.source is not None
         alone = route in WITHOUT_BENCH
@@ -433,7 +431,7 @@ class CompareConfig(SnapshotConfig):
 
     @property
     def dates(self) -> tuple[Date, ...] | None:
-        """When each recording was taken; ``None`` unless all are dated."""
+        """Date of each recording; ``None`` unless all are dated."""
         return _dates(self.recordings)
 
     @field_validator("recordings")

@@ -1,9 +1,8 @@
-"""What the configurations of several kinds share: one frozen model per section.
+"""What the configurations of several kinds share: one frozen model for each section.
 
-Defaults are in these models and nowhere else. Paths are resolved against the folder that the
-validation context names, and must exist. A new kind is a model with an entry in ``kinds.KINDS``,
-and a module of its name in ``bayesbl/runs``. Only pydantic is imported, so that ``bayesbl check``
-answers at once.
+Defaults are in these models only. Paths start from the folder in the validation context, and must
+exist. A new kind is a model with an entry in ``kinds.KINDS``, and a module of its name in
+``bayesbl/runs``. Only pydantic is imported, so that ``bayesbl check`` is fast.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ def refuse(
 ) -> NoReturn:
     """Refuse a value with a sentence; ``found`` replaces the whole value in the message.
 
-    ``at`` leads from the value to the part of it that is wrong, to find its line or option.
+    ``at`` leads from the value to the part that is wrong, to find its line or option.
     """
     context = {
         "problem": problem.replace("{", "{{"),
@@ -88,7 +87,7 @@ def refuse(
 
 
 def require_different(values: Sequence[str], problem: str) -> None:
-    """Refuse texts of which two are the same, with this sentence."""
+    """Refuse equal texts with this sentence."""
     twice = sorted(value for value, count in Counter(values).items() if count > 1)
     if twice:
         named = ", ".join(f'"{value}"' for value in twice)
@@ -96,7 +95,7 @@ def require_different(values: Sequence[str], problem: str) -> None:
 
 
 def resolve(path: str | Path, info: ValidationInfo) -> Path:
-    """A path taken relative to the folder of the configuration, symbolic steps removed."""
+    """A path relative to the configuration's folder, normalised."""
     base = (info.context or {}).get(BASE_DIRECTORY, Path.cwd())
     return Path(os.path.normpath(os.path.join(base, os.path.expanduser(path))))
 
@@ -128,7 +127,7 @@ def _result_file(value: object, info: ValidationInfo) -> Path:
 
 T = TypeVar("T")
 Items = Annotated[tuple[T, ...], Strict(False)]
-"""A list of the file, as the immutable kind."""
+"""A list of the file as a tuple."""
 
 
 def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -138,7 +137,7 @@ def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
 
 
 def known_name(name: str, known: Collection[str], what: str) -> str:
-    """The name; refused unless it is one of those known."""
+    """The name; refused unless it is known."""
     if name not in known:
         refuse(
             f"There is no such {what}." + did_you_mean(name, known),
@@ -172,7 +171,7 @@ def _name(name: str) -> str:
 
 
 def names_of(files: Sequence[str | Path]) -> list[str]:
-    """A different name for each file, made from what it is called."""
+    """Different names for files, made from their file names."""
     names = [name_of(stem_of(Path(file))) for file in files]
     numbered = [f"{name[: LONGEST_NAME - 4]}-{n}" for n, name in enumerate(names, start=1)]
     mixed = [
@@ -190,7 +189,7 @@ def name_of(stem: str) -> str:
 
 
 def column_entry(value: object) -> object:
-    """``"Speed"`` is short for ``{name = "Speed"}``."""
+    """Expand ``"Speed"`` to ``{name = "Speed"}``."""
     return {"name": value} if isinstance(value, str) else value
 
 
@@ -198,7 +197,7 @@ OutputPath = Annotated[Path, BeforeValidator(_output_path)]
 InputPath = Annotated[Path, BeforeValidator(_input_path)]
 CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
 ResultFile = Annotated[Path, BeforeValidator(_result_file)]
-"""A ``result.nc``, or the output folder that holds it."""
+"""A ``result.nc``, or its output folder."""
 BenchSource = ResultFile
 """A bench file, or the result of an identification: its folder or ``result.nc``."""
 Range = Annotated[tuple[float, float], Strict(False), AfterValidator(_increasing)]
@@ -226,7 +225,7 @@ def _not_percent(given: object) -> object:
 
 
 Tolerance = Annotated[float | None, BeforeValidator(_not_percent)]
-"""Half-width of a uniform prior, in the parameter's unit or as a share; ``None`` if not given."""
+"""Half-width of a uniform prior, in the parameter's unit or as a share."""
 
 
 class Section(BaseModel):
@@ -237,7 +236,7 @@ class Section(BaseModel):
     )
 
     def require_sound(self) -> None:
-        """Refuse values that do not go together."""
+        """Refuse values that contradict each other."""
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
@@ -291,7 +290,7 @@ ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
 
 
 def _file_or_files(schema: dict[str, Any]) -> None:
-    """What a validator adds of itself is not asked for."""
+    """Correct the JSON schema, which does not know that a validator completes ``file``."""
     del schema["required"]
     schema["anyOf"] = [{"required": ["file"]}, {"required": ["files"]}]
 
@@ -342,7 +341,7 @@ R = TypeVar("R", bound=SnapshotRecording)
 
 
 def differently_named(recordings: tuple[R, ...]) -> tuple[R, ...]:
-    """Refuse recordings of which two have the same name."""
+    """Refuse recordings with the same name."""
     names = [recording.name for recording in recordings]
     require_different(names, "Two recordings have the same name.")
     return recordings
@@ -427,7 +426,7 @@ class Interval(Section):
 
 
 def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
-    """A range of load angles, the lower first."""
+    """Validate a range of load angles."""
     if len(angles) != 2 or not angles[1] - angles[0] >= SHORTEST_WAY_RAD:
         refuse(
             "A range has a lower and an upper load angle.",
@@ -438,4 +437,4 @@ def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
 
 
 SHORTEST_WAY_RAD = 1e-3
-"""At the load: a shorter way is no motion."""
+"""Shortest motion of the load."""

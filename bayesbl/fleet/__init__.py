@@ -1,1 +1,1 @@
-"""Many joints: each recording measured once, wear of each joint and of each type of gearbox."""
+"""Many joints: recordings measured once, and the wear of each joint and each type of gearbox."""

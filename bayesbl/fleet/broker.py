@@ -1,7 +1,5 @@
-"""A broker of messages (MQTT 5): where it is, who we are to it, what it says when it refuses.
-
-A device sends its answers to it, and it keeps them for ``collect``.
-"""
+"""A message broker (MQTT 5): its address, our credentials, its refusals, and a sender of
+answers."""
 
 from __future__ import annotations
 
@@ -39,7 +37,7 @@ PORTS = {"mqtt": 1883, "mqtts": 8883}
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 1, 120
-"""Between attempts to reach a broker; doubled each time."""
+"""Wait between attempts to reach a broker; doubled each time."""
 
 _EXPECTED = "mqtts://broker/topic, or mqtts://broker:8883/plant/cell4"
 _CLIENT = "client"
@@ -47,7 +45,7 @@ _CLIENT = "client"
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Of a topic at a broker."""
+    """Address of a topic at a broker."""
 
     host: str
     port: int
@@ -56,12 +54,12 @@ class Address:
 
     @property
     def in_words(self) -> str:
-        """As it may be printed."""
+        """The address without secrets."""
         return f"{self.topic} at {self.host}:{self.port}"
 
     @property
     def open_to_others(self) -> str | None:
-        """A warning where password and answers can be read on their way."""
+        """A warning if others could read password and answers on their way."""
         if self.encrypted or self.host in LOOPBACK:
             return None
         return (
@@ -79,10 +77,7 @@ class Credentials(Section):
 
 
 def read_address(url: str) -> Address:
-    """The address that a URL gives; nothing of a wrong one is repeated, as it may hold a password.
-
-    Raises ConfigError, saying what is wrong with it.
-    """
+    """The address in a URL. The ConfigError repeats nothing of it, as it may contain a password."""
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
@@ -110,7 +105,7 @@ def read_address(url: str) -> Address:
 def read_credentials(file: Path | None) -> Credentials:
     """Credentials from a TOML file that nobody else can read.
 
-    Raises ConfigError if it cannot be read or holds anything else; none of its content is repeated.
+    Raises ConfigError, which repeats nothing of the file.
     """
     if file is None:
         return Credentials()
@@ -139,10 +134,7 @@ def read_credentials(file: Path | None) -> Credentials:
 
 
 def stays_known_by(folder: Path) -> str:
-    """The name of this client at the broker, kept in a folder, so that its session goes on.
-
-    Raises OSError if the folder cannot be written.
-    """
+    """Name of this client at the broker, kept in a folder so that its session continues."""
     file = folder / _CLIENT
     if not file.is_file():
         with replacing(file, durable=True) as temporary:
@@ -155,7 +147,7 @@ def make_client(
 ) -> Client:
     """A client that is not connected yet.
 
-    Raises ConfigError if paho-mqtt is missing, or the authority's certificate is none.
+    Raises ConfigError without paho-mqtt, or if the authority's certificate is invalid.
     """
     try:
         from paho.mqtt.client import Client
@@ -209,14 +201,14 @@ def unreachable(address: Address, error: BaseException | None) -> str:
 
 
 def refused(address: Address, reason: object) -> BrokerError:
-    """The broker answers, and does not let us in."""
+    """The error for a broker that refuses us."""
     return BrokerError(
         "The broker refuses.", where=address.in_words, found=str(reason), expected="to be let in"
     )
 
 
 class OnlyOnce:
-    """Says a sentence when it is another than the last: a broker may be away for days."""
+    """Says a sentence only if it differs from the last one: a broker may be away for days."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say, self._last = say, ""
@@ -228,13 +220,13 @@ class OnlyOnce:
 
 
 NOBODY_LISTENS = 16
-"""MQTT 5's reason code where no client, present or away, has asked for the topic."""
+"""MQTT 5's reason code if no client, present or away, has subscribed to the topic."""
 
 EXPIRES_S = 7 * 24 * 3600
-"""After which a broker may forget an answer."""
+"""After this time, a broker may forget an answer."""
 
 SEND_ALL_AFTER_S = float(EXPIRES_S)
-"""After which a device sends all of its answers again."""
+"""After this time, a device sends all of its answers again."""
 
 _SENT = "sent.json"
 
@@ -242,11 +234,9 @@ _SENT = "sent.json"
 class Sender:
     """Sends the answers of a device, each until a broker has taken it; connects by itself.
 
-    That a broker has taken an answer does not say that it reaches ``collect``: another client may
-    have asked for the topic, and a broker may lose what it holds. So all are sent again each week,
-    and at once to a broker that has lost what it knew; ``collect`` keeps each once.
-
-    ``folder``: where it keeps its name and what it has sent.
+    A broker that took an answer may still lose it, or deliver it to another subscriber than
+    ``collect``. So all answers are sent again every week, and at once to a broker that lost its
+    session; ``collect`` keeps each once. ``folder`` stores the sender's name and what it has sent.
     """
 
     def __init__(
@@ -273,9 +263,9 @@ class Sender:
         self._client.loop_start()
 
     def offer(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Answers to send; a newer one of the same file takes the place of an older.
+        """Add answers to send, and send what waits; call it repeatedly, even without answers.
 
-        To be called every now and then, without any too.
+        A newer answer for the same file replaces an older one.
         """
         for row in rows:
             if row["device"] is None:  # not of another, that was collected here
@@ -296,7 +286,7 @@ class Sender:
                     self._under_way[name] = sent.mid
 
     def stop(self, wait_s: float = 0.0) -> int:
-        """End, once nothing waits or after a time; how many answers wait still."""
+        """Stop when nothing waits or the time is over; return how many answers still wait."""
         end = time.monotonic() + wait_s
         while self._waiting() and time.monotonic() < end:
             time.sleep(0.05)
@@ -310,7 +300,7 @@ class Sender:
         return [one for one in self._answers.values() if one[0] not in self._sent]
 
     def _settle(self, name: str, reason: Any) -> None:
-        """What the broker says of an answer."""
+        """Handle what the broker says about an answer."""
         if not reason.is_failure and reason.value != NOBODY_LISTENS:
             self._say(f"Answers go to {self._address.in_words}.")
             self._sent.add(name)
@@ -328,7 +318,7 @@ class Sender:
         self._pause_s = min(2 * self._pause_s, LONGEST_WAIT_S)
 
     def _kept(self) -> tuple[set[str], float]:
-        """Names of what was sent, and since when; what is lost of it is sent once more."""
+        """Names of what was sent, and since when; what is lost of this is sent once more."""
         try:
             kept = json.loads(self._file.read_bytes())
             return set(map(str, kept["sent"])), float(kept["since_s"])

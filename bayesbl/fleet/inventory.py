@@ -1,4 +1,4 @@
-"""The joints of a plant and their recordings, as tables or a pattern of file names give them."""
+"""The joints of a plant and their recordings, from tables or a pattern of file names."""
 
 from __future__ import annotations
 
@@ -54,13 +54,7 @@ _File = AfterValidator(str)
 
 
 class Joint(_Row):
-    """A row of the inventory.
-
-    ``gearbox``: type of the gearbox; empty where it is not given. ``bench``, ``curve``: where δ
-    comes from; neither gives the ringing alone. ``cost_at_limit``: what it costs if the joint
-    reaches its limit; in one currency for all. ``repaired``: date of the last repair: what was
-    recorded on it or later is of the repaired joint.
-    """
+    """A row of the inventory."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -90,21 +84,21 @@ class Joint(_Row):
 
     @property
     def limit_rad(self) -> float | None:
-        """Of δ."""
+        """Limit of δ."""
         return self.stated_limit_rad if self.limit is None else self.limit.delta_rad()
 
     @property
     def covariates(self) -> dict[str, float | str]:
-        """Every other column, number or text."""
+        """Every other column, as number or text."""
         return {key: _covariate(value) for key, value in (self.model_extra or {}).items()}
 
     def group(self, column: str) -> str:
-        """What the joint has in a column that joints are pooled by."""
+        """The joint's entry in the column by which joints are pooled."""
         return self.gearbox if column == "gearbox" else str(self.covariates.get(column, ""))
 
 
 OF_JOINT = tuple(field.alias or name for name, field in Joint.model_fields.items())
-"""Columns of the inventory that mean something here; every other is a covariate."""
+"""Columns of the inventory with a meaning; all others are covariates."""
 
 
 class _RecordingRow(_Row):
@@ -118,10 +112,9 @@ class _RecordingRow(_Row):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A recording that belongs to a joint.
+    """A recording of a joint.
 
-    ``file``: path. ``reason``: why it cannot be one. ``sha256``: of its bytes; ``None`` before they
-    were read, or where they cannot be.
+    ``reason``: why it cannot be used; ``sha256``: of its bytes, once they were read.
     """
 
     joint: str
@@ -133,11 +126,11 @@ class Found:
 
     @property
     def identity(self) -> dict[str, str | None]:
-        """Which recording a row of a table is of."""
+        """The columns of a table that identify the recording."""
         return {"joint": self.joint, "date": self.date, "file": self.file, "sha256": self.sha256}
 
     def read(self) -> Found:
-        """With the digest of its file, or why that cannot be read."""
+        """The recording with the digest of its file, or the reason why it cannot be read."""
         if self.reason is not None:
             return self
         sha256, problem = digest_of_file(self.file)
@@ -147,8 +140,8 @@ class Found:
 def read_joints(section: FleetSection) -> list[Joint]:
     """All rows of the inventory.
 
-    Raises ConfigError, naming file, row and column: no joint, two of one name, a value that cannot
-    be one, a bench or a curve that is not there.
+    Raises ConfigError with file, row and column if there is no joint, two have the same name, a
+    value is invalid, or a bench or a curve does not exist.
     """
     file = section.joints
     joints = [_valid(Joint, row, file, number) for number, row in enumerate(_rows(file), start=1)]
@@ -202,7 +195,7 @@ def _require_column(key: str, name: str, columns: Collection[str], file: Path) -
 
 
 def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Found]:
-    """All recordings, by joint and date; those of no joint of the inventory have a reason.
+    """All recordings by joint and date; those of no joint in the inventory have a reason.
 
     Raises ConfigError if the table of recordings cannot be read.
     """
@@ -222,11 +215,11 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
 
 
 FileState = tuple[int, int, int, int]
-"""A file's number, size and times: another state may be another content."""
+"""Inode, size and times of a file; if they differ, the content may."""
 
 
 def file_state(file: str) -> FileState | None:
-    """``None`` where there is no file any more."""
+    """State of a file; ``None`` if there is none."""
     try:
         status = os.stat(file)
     except OSError:
@@ -235,7 +228,7 @@ def file_state(file: str) -> FileState | None:
 
 
 def digest_of_file(file: str) -> tuple[str | None, str | None]:
-    """SHA-256 of a file's bytes, or why it cannot be read."""
+    """SHA-256 of a file's bytes, or the reason why it cannot be read."""
     try:
         return hashlib.sha256(read_input(Path(file))).hexdigest(), None
     except (OSError, ValueError) as error:
@@ -262,7 +255,7 @@ def _by_pattern(section: FleetSection) -> Iterator[Found]:
 
 
 def _within(folder: str | Path, one: Found) -> Found:
-    """Whoever puts recordings into a folder gives no access to what is outside of it."""
+    """Refuse links out of the folder, so that whoever adds recordings cannot read other files."""
     if Path(os.path.realpath(one.file)).is_relative_to(os.path.realpath(folder)):
         return one
     return replace(one, reason=f"This is a link, or below one, that leads out of {folder}.")
@@ -299,10 +292,7 @@ _R = TypeVar("_R", bound=_Row)
 
 
 def _valid(model: type[_R], row: Mapping[str, str], file: Path, number: int) -> _R:
-    """A row as it is declared; an empty cell is no value.
-
-    Raises ConfigError, naming file, row and column.
-    """
+    """A validated row, without its empty cells. Raises ConfigError with file, row and column."""
     given = {key: cell for key, cell in row.items() if cell}
     try:
         return model.model_validate(given, context={BASE_DIRECTORY: file.parent})
@@ -323,7 +313,7 @@ def _refuse(file: Path, row: int, column: str, actual: str, expected: str) -> No
 
 
 def _rows(file: Path) -> list[dict[str, str]]:
-    """Rows of a table as column to text."""
+    """Rows of a table as text by column."""
     try:
         text = read_input(file).decode("utf-8-sig")
         rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))

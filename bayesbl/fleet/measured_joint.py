@@ -1,9 +1,9 @@
-"""One joint measured: each recording by itself, then its wear from gaps that are paired.
+"""Measure one joint: each recording by itself, then its wear from paired gaps.
 
-A recording is measured as ``bayesbl fit`` measures it. By the amplitude, the change is that of
-``bayesbl compare``, which takes the finished fits from where they are kept. By the direct route
-gaps are paired through the bench that they share (:mod:`bayesbl.fleet.shared_bench`), so that a new
-recording is matched alone.
+A recording is measured as by ``bayesbl fit``. By the amplitude, the change is that of
+``bayesbl compare``, which reuses the stored fits. By the direct route, gaps are paired through the
+bench that they share (:mod:`bayesbl.fleet.shared_bench`), so that only a new recording has to be
+fitted.
 """
 
 from __future__ import annotations
@@ -42,19 +42,18 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 
 REFUSED, FAILED = "refused", "failed"
-"""Outcomes beside those of a measurement: a recording that cannot be used; a bug met in it."""
+"""Outcomes besides those of a measurement: an unusable recording, and a bug."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingAnswer:
-    """What measuring one recording by itself gave.
+    """The answer for one recording by itself.
 
-    ``reason``: why δ is withheld, or the recording refused; ``None`` where it is not. ``agrees``:
-    whether the recording may be one of its bench. ``gap_rad``: draws of δ, shape (draw,), withheld
-    or not; ``None`` without a curve. ``bench``: what is not known of the bench, in coordinates with
-    a standard normal prior, shape (unknown, draw), paired with ``gap_rad``; ``None`` by the
-    amplitude. ``amplitude_rpm``: median, low and high. ``lasting``: whether content and code alone
-    decide it, so that it is the same whenever it is asked.
+    ``reason``: why δ is withheld or the recording refused. ``agrees``: whether it may belong to its
+    bench. ``gap_rad``: draws of δ, shape (draw,), even if withheld; ``None`` without a curve.
+    ``bench``: unknowns of the bench in coordinates with a standard normal prior, shape (unknown,
+    draw), paired with ``gap_rad``; ``None`` by the amplitude. ``amplitude_rpm``: median, low and
+    high. ``lasting``: content and code alone determine it, so that it is always the same.
     """
 
     outcome: str
@@ -75,12 +74,11 @@ class RecordingAnswer:
 
 @dataclass(frozen=True, slots=True)
 class JointAnswer:
-    """How a joint wears since its last repair.
+    """The wear of a joint since its last repair.
 
-    ``reason``: why there is no rate; ``None`` where there is one. ``used``: numbers of the
-    recordings that the rate rests on. ``gap_rad``: their gaps, paired by draw, shape (used, draw).
-    ``wear``: draws of the rate and of what goes with it; ``None`` where there is none. ``lasting``:
-    as of a recording's answer.
+    ``reason``: why there is no rate. ``used``: numbers of the recordings behind the rate.
+    ``gap_rad``: their gaps, paired by draw, shape (used, draw). ``wear``: draws of the rate and
+    related quantities. ``lasting``: as for a recording.
     """
 
     reason: str | None
@@ -95,8 +93,8 @@ class JointAnswer:
 class JointJob:
     """A joint with its recordings in order of time; it can be sent to another process.
 
-    ``of_bench``, ``of_curve``: SHA-256 of the files that the joint names. ``known``: answers that
-    are kept from an earlier run, by number of the recording.
+    ``of_bench``, ``of_curve``: SHA-256 of the files that the joint names. ``known``: answers of an
+    earlier run, by number of the recording.
     """
 
     fleet: FleetConfig
@@ -108,7 +106,7 @@ class JointJob:
 
     @classmethod
     def of(cls, fleet: FleetConfig, joint: Joint, recordings: Sequence[Found]) -> JointJob:
-        """The job of a joint from its recordings, which have their digests."""
+        """The job of a joint from its recordings with their digests."""
         named = (joint.bench, None if joint.curve == PUBLISHED else joint.curve)
         bench, curve = (None if file is None else file_sha256(file) for file in named)
         return cls(fleet, joint, tuple(recordings), bench, curve)
@@ -121,23 +119,23 @@ class JointJob:
 
     @property
     def in_words(self) -> str:
-        """Which joint it is."""
+        """Name of the joint."""
         return f"joint {self.joint.name}"
 
     @property
     def files(self) -> list[str]:
-        """Of the joint, beside its recordings."""
+        """Files of the joint besides its recordings."""
         named = (self.joint.bench, None if self.of_curve is None else self.joint.curve)
         return [str(file) for file in named if file is not None]
 
     @property
     def sha256(self) -> tuple[str, ...]:
-        """Of the recordings' files."""
+        """SHA-256 of the recordings' files."""
         return tuple(str(one.sha256) for one in self.recordings)
 
     @property
     def names(self) -> list[str]:
-        """Of the recordings: the date, numbered where there are several of a day."""
+        """Names of the recordings: their dates, numbered if several share a day."""
         dates = [one.date for one in self.recordings]
         return [
             day if dates.count(day) == 1 else f"{day}-{dates[: n + 1].count(day)}"
@@ -146,11 +144,11 @@ class JointJob:
 
     @property
     def by_amplitude(self) -> bool:
-        """Whether no recording is matched with a bench."""
+        """Whether no recording is compared with a bench."""
         return self.joint.bench is None or self.fleet.estimator.route == "amplitude"
 
     def problem(self) -> dict[str, Any]:
-        """All that decides the answer: files by their content."""
+        """All that determines the answer, files by their content."""
         return {**self._of_all(), "limit_rad": self.joint.limit_rad} | {
             "in_service_since": self.joint.in_service_since,
             "repaired": self.joint.repaired,
@@ -161,7 +159,7 @@ class JointJob:
         }
 
     def problem_of(self, number: int) -> dict[str, Any]:
-        """The same of one recording."""
+        """All that determines the answer for one recording."""
         return {
             **self._of_all(),
             "recording": (self.names[number], self.sha256[number]),
@@ -169,10 +167,7 @@ class JointJob:
         }
 
     def config(self, kind: str, numbers: Sequence[int], route: str | None = None) -> SnapshotConfig:
-        """The configuration of a run over some of the recordings.
-
-        Raises ConfigError: in the words of that kind.
-        """
+        """The configuration of a run over some of the recordings. Raises ConfigError."""
         joint, model, settings = self.joint, KINDS[kind], self.settings
         estimator = settings["estimator"]
         if joint.bench is None:
@@ -205,7 +200,7 @@ class JointJob:
         return snapshot_config
 
     def seeds(self, numbers: Sequence[int]) -> Seeds:
-        """One for each recording by its content, so that no recording changes those of another."""
+        """A seed for each recording by its content, so that no recording affects another."""
         seed, contents = self.fleet.run.seed, [int(self.sha256[n][:16], 16) for n in numbers]
         own = tuple(np.random.SeedSequence([seed, content]) for content in contents)
         return replace(Seeds.spawn(seed, 0), recordings=own)
@@ -233,7 +228,7 @@ class JointJob:
 
 
 DRAWS = 2000
-"""Of a joint's gaps and rate: the level of a 90 % interval is 90 ± 0.7 %, √(p (1 − p)/n)."""
+"""Draws of a joint's gaps and rate: the level of a 90 % interval is 90 ± 0.7 %, √(p (1 − p)/n)."""
 
 CHANGED = RecordingAnswer(
     REFUSED, "A file changed while it was measured. Measure it again.", lasting=False
@@ -242,13 +237,13 @@ CHANGED = RecordingAnswer(
 OTHER_JOINT = "By the curve of the paper's test bench neither rate nor date is given."
 
 MeasuredJoint = tuple[tuple[RecordingAnswer, ...], JointAnswer]
-"""What each recording gave, and what they give together."""
+"""Answers for each recording, and for the joint."""
 
 
 def measure_joint(job: JointJob) -> MeasuredJoint:
-    """All recordings of a joint, those known taken over, and its wear; nothing is raised for one.
+    """Measure the recordings of a joint that are not known, and its wear.
 
-    Raises OSError if nothing can be written where fits are kept.
+    A refused recording raises nothing. Raises OSError if fits cannot be stored.
     """
     numbers = range(len(job.recordings))
     answers = [job.known.get(number) or measure_recording(job, number) for number in numbers]
@@ -258,10 +253,7 @@ def measure_joint(job: JointJob) -> MeasuredJoint:
 
 
 def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
-    """One recording by itself.
-
-    Raises OSError if nothing can be written where fits are kept.
-    """
+    """Measure one recording by itself. Raises OSError if its fit cannot be stored."""
     before_it = _states(job, [number])
     try:
         answer = _answer(job, _measured(job, job.config("fit", [number]), [number]))
@@ -279,7 +271,7 @@ def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
 
 
 def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
-    """Of the files of recordings, bench and curve; none where one does not hold what was asked."""
+    """States of the files of recordings, bench and curve; empty if any has another content."""
     files = [(job.recordings[number].file, job.recordings[number].sha256) for number in numbers]
     named = ((job.joint.bench, job.of_bench), (job.joint.curve, job.of_curve))
     states = []
@@ -324,7 +316,7 @@ def _answer(job: JointJob, tree: xr.DataTree) -> RecordingAnswer:
 
 
 def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
-    """Of the recordings since the last repair that give δ by one route."""
+    """Wear from the recordings since the last repair that give δ by the same route."""
     since = [
         number
         for number, one in enumerate(job.recordings)
@@ -422,13 +414,13 @@ def _bench(job: JointJob) -> Bench:
 
 
 def _unknowns(bench: Bench, name: str) -> list[Unknown]:
-    """What is not known of a joint's bench and shared by all its recordings."""
+    """Unknowns of a joint's bench that all its recordings share."""
     own = [u for u in effect_unknowns(bench, [name]) if u.recording is None]
     return [*own, *tolerance_unknowns(bench)]
 
 
 def _measured(job: JointJob, config: SnapshotConfig, numbers: Sequence[int]) -> xr.DataTree:
-    """Recordings measured, with fits kept that ``compare`` takes up again."""
+    """Measure recordings; fits are stored for ``compare`` to reuse."""
     output = job.fleet.run.output
     work, swept = NOTHING_KEPT, WorkStore.shared(output.parent / STORE)
     if job.by_amplitude:
@@ -442,7 +434,7 @@ def fits_beside(output: Path) -> Path:
 
 
 def _thin(draws: NDArray[Any]) -> NDArray[Any]:
-    """At most :data:`DRAWS` of them, evenly from all, shape (…, draw)."""
+    """At most :data:`DRAWS` draws, evenly spaced, shape (…, draw)."""
     count = draws.shape[-1]
     if count <= DRAWS:
         return draws

@@ -1,7 +1,6 @@
-"""Messages of devices to ``collect``: a row of ``recordings.parquet`` each, as JSON.
+"""Messages from devices to ``collect``: a row of ``recordings.parquet`` each, as JSON.
 
-Whatever may come from a network is checked: what ``watch`` cannot have written is refused with its
-reason.
+Messages come from a network, so all that ``watch`` cannot have written is refused with a reason.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 SCHEMA = 2
 
 LARGEST_MESSAGE_BYTES = 1_000_000
-"""An answer takes some 1,200 bytes."""
+"""An answer takes about 1,200 bytes."""
 
 LONGEST_TEXT = 10_000
 
@@ -44,7 +43,7 @@ def _no_number(text: str) -> NoReturn:
 
 
 def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
-    """A row as a message; columns without a value, or with none that is finite, are left out."""
+    """A row as a message, without missing or infinite values."""
     given = {
         name: value
         for name, value in row.items()
@@ -54,7 +53,7 @@ def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
 
 
 def _column(name: str, kind: str) -> Any:
-    """Of a row: noise alone may ring with a negative amplitude, gaps are positive."""
+    """Type of a column. Noise may give a negative amplitude; gaps are positive."""
     if kind == "string":
         return Annotated[str, Field(max_length=LONGEST_TEXT, pattern=r"^[^\x00]*$")]
     if kind == "bool":
@@ -85,10 +84,9 @@ _Row = create_model("_Row", __base__=_Strict, **_COLUMNS)
 
 
 def decoded_answer(message: bytes) -> dict[str, Any]:
-    """The row that a message holds, every column in it.
+    """The row in a message, with every column.
 
-    Raises ValueError if it is no answer, or something in it cannot be, with a reason that may be
-    printed.
+    Raises ValueError, with a reason that may be printed, if it is no valid answer.
     """
     if len(message) > LARGEST_MESSAGE_BYTES:
         raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
@@ -130,7 +128,7 @@ def _require_day(text: str) -> None:
 
 
 def _require_gap(row: Mapping[str, Any]) -> None:
-    """A gap, all of it, or a reason; bounds in their order."""
+    """Require a whole gap or a reason, with bounds in order."""
     if row["reason"] is None:
         lacking = [name for name in _GAP if row[name] is None]
         if lacking:

@@ -1,8 +1,8 @@
-"""``recordings.parquet`` and ``joints.parquet``: a row each, columns as declared here.
+"""``recordings.parquet`` and ``joints.parquet``, with the columns declared here, and all draws.
 
-Draws of all joints are in one Zarr store beside them, a group a joint. It is Zarr's format 2
-without compression: a folder of JSON and of little-endian numbers, which needs no library to be
-written. ``xarray.open_zarr(store, group="R1-J2")`` reads one joint.
+Draws are in a Zarr store, a group for each joint. It is Zarr's format 2 without compression: a
+folder of JSON and little-endian numbers, which needs no library to write.
+``xarray.open_zarr(store, group="R1-J2")`` reads one joint.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ GROUP, ARRAY, ATTRIBUTES = ".zgroup", ".zarray", ".zattrs"
 
 
 class DrawsStore:
-    """A new store in a folder that must not exist yet."""
+    """A new store in a folder that must not exist."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -43,7 +43,7 @@ class DrawsStore:
         arrays: Mapping[str, tuple[Sequence[str], NDArray[np.generic]]],
         attributes: Mapping[str, object],
     ) -> None:
-        """A group of this name; each array has the names of its dimensions before it."""
+        """Write a group; each array comes after the names of its dimensions."""
         folder = self._folder / name
         self._group(folder, attributes)
         for key, (dims, values) in arrays.items():
@@ -82,7 +82,7 @@ QUANTILE_COLUMNS = tuple(f"delta_rad_q{round(100 * q):02d}" for q in QUANTILES)
 
 
 def _columns(text: str) -> dict[str, tuple[str, str]]:
-    """Column to its type and meaning, from a table of both."""
+    """Type and meaning of columns, from a table."""
     return {column.name: (column.unit, column.meaning) for column in table(text)}
 
 
@@ -113,7 +113,7 @@ RECORDING_COLUMNS = _columns("""
     probability_above_limit | double | probability that δ was above the joint's limit
     device | string | name of the device that sent it; null if it was measured here
 """)
-"""Column to its type and meaning."""
+"""Type and meaning of each column."""
 
 JOINT_COLUMNS = _columns("""
     joint | string | name in the inventory
@@ -155,7 +155,7 @@ JOINT_COLUMNS = _columns("""
     rank | int64 | 1 reaches its limit first, or costs most if costs are given; null without a date
     reason | string | why there is no rate; null if a rate is given
 """)
-"""Column to its type and meaning; the inventory's own other columns follow them."""
+"""Type and meaning of each column; other columns of the inventory follow."""
 
 
 def _ends(name: str, bounds: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _ends(name: str, bounds: Mapping[str, Any]) -> dict[str, Any]:
 def recording_row(
     answer: RecordingAnswer, joint: Joint | None, used: bool | None, level: IntervalConfig
 ) -> dict[str, Any]:
-    """A row of ``recordings.parquet``, which recording it is of left open."""
+    """A row of ``recordings.parquet`` without the recording's identity."""
     row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
     row |= {"outcome": answer.outcome, "reason": answer.reason, "used": used}
     row |= {"route": answer.route or None}
@@ -188,7 +188,7 @@ def recording_row(
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A joint with its answer, what happened to its recordings, and their dates."""
+    """A joint with its answer, and the outcomes and dates of its recordings."""
 
     joint: Joint
     answer: JointAnswer
@@ -199,7 +199,7 @@ class Measured:
 def pool(
     measured: Sequence[Measured], column: str | None, seed: int, covariates: Sequence[str] = ()
 ) -> tuple[dict[str, TypeRates], dict[str, Borrowed]]:
-    """Rates by type, and by joint what its type says of it; ``covariates`` are columns."""
+    """Rates by type, and by joint what its type adds; ``covariates`` are columns."""
     groups: dict[str, dict[str, WearDraws]] = defaultdict(dict)
     for one in measured:
         if column and one.answer.wear is not None and one.joint.group(column):
@@ -243,8 +243,8 @@ def joint_rows(
 
 
 def _urgency(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    """By expected cost, largest first; what has none by its date: past its limit, by how far; then
-    by date, by share; what nobody knows comes last."""
+    """Sort by expected cost, largest first; then joints past their limit by how far, by date, by
+    share of the limit; unknown ones last."""
     share = (row["delta_rad_median"] or 0.0) / (row["limit_rad"] or float("inf"))
     date = row["limit_date_median"] or "9999"
     passed = date <= (row["last_date"] or "")
@@ -314,7 +314,7 @@ def _joint_row(
 def write_table(
     rows: Sequence[Mapping[str, Any]], columns: Mapping[str, tuple[str, str]], path: Path
 ) -> None:
-    """A Parquet file; the meaning of each column is in its metadata."""
+    """Write a Parquet file with the meaning of each column as metadata."""
     import pyarrow
     import pyarrow.parquet
 
@@ -333,7 +333,7 @@ def write_table(
 
 
 def schema_of(columns: Mapping[str, tuple[str, str]]) -> Any:
-    """Of pyarrow; the meaning of each column is in its metadata."""
+    """pyarrow's schema with the meaning of each column as metadata."""
     import pyarrow
 
     return pyarrow.schema(
@@ -343,7 +343,7 @@ def schema_of(columns: Mapping[str, tuple[str, str]]) -> Any:
 
 
 def require_tables() -> None:
-    """Raise where Parquet cannot be written."""
+    """Raise ConfigError if Parquet cannot be written."""
     try:
         import pyarrow  # noqa: F401
     except ImportError:

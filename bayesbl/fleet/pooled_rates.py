@@ -1,30 +1,28 @@
-"""Wear pooled over joints that wear alike: those with few recordings borrow from the others.
+"""Pool wear over joints of a type, so that joints with few recordings borrow from the others.
 
-Of the joints of a type g a share 1 − ε wears as the type does: the rate r is log-normal, the law of
-wear one of the kinds k that the type has, and the mean jump s, which says how irregular wear is,
-log-normal too,
+A share 1 − ε of the joints of a type g wears like the type. Their rates r are log-normal, their law
+of wear is one of the kinds k of the type, and the mean jump s, which describes irregular wear, is
+log-normal:
 
     ln r_j ~ N(μ + x_j·β, τ²)    k_j ~ π, π ~ Dirichlet(6 p)    ln s_j ~ N(m, t²)
 
-with priors as good as flat on μ, τ, m and t, and p the prior probabilities of the kinds: what is
-believed of laws beforehand counts as six joints. The covariates x of a joint, such as its load, are
-centred and in standard deviations over the joints of the type; β ~ N(0, 1): one standard deviation
-hardly changes the rate more than twentyfold. The share ε wears in its own way and has the prior
-of a lone joint: flat in the rate (half-Cauchy, so that it has an end), p in the kind, flat in ln s.
-ε is uniform beforehand. So a type says how alike its joints are, a joint whose recordings speak
-against its type keeps its own answer, and one with few recordings keeps as much of it as its type
-has strangers.
+The priors of μ, τ, m and t are nearly flat. p are the prior probabilities of the kinds, which count
+as six joints. The covariates x of a joint, such as its load, are standardised over the joints of
+the type, with β ~ N(0, 1): one standard deviation hardly changes the rate more than twentyfold. The
+share ε wears in its own way and has the prior of a single joint: flat in the rate (half-Cauchy, so
+that it is proper), p for the kind, flat in ln s. ε is uniform. So the data show how alike the
+joints of a type are. A joint whose recordings contradict its type keeps its own answer, and one
+with few recordings keeps as much of it as its type has strangers.
 
-A joint enters by draws of its own posterior, as they are, whose prior is that of a lone joint; a
-draw is worth the ratio of priors to its type (importance weights, Hogg, Myers and Bovy 2010). Gibbs
-sampling takes turns: for each joint one of its draws by these weights and whether it is as its
-type, then the type given those that are. At the end a joint's draws are weighed by what is found of
-the type, and whatever is paired with them (the time to the limit) is weighed with them. With two
-dates a forecast is as wide as what is believed of laws and of irregular wear, and it is those that
-sharpen it.
+A joint enters by draws of its own posterior with the prior of a single joint. Each draw is weighted
+by the ratio of priors (importance weights, Hogg, Myers and Bovy 2010). Gibbs sampling alternates:
+for each joint one of its draws by these weights, and whether it is like its type; then the type
+given the joints that are. Finally a joint's draws, with all that is paired with them (the time to
+the limit), are weighted by the draws of the type. With two dates, a forecast is as wide as the
+prior of laws and irregular wear, which the type sharpens.
 
-A joint that does not wear has a small rate here, not none: the rates of a type are not evidence of
-wear, as those of a joint are not.
+A joint that does not wear has a small rate here, not none. So the rates of a type, like those of a
+joint, are no evidence of wear.
 """
 
 from __future__ import annotations
@@ -39,56 +37,57 @@ from bayesbl.measurement.wear import KINDS, SCATTER, WearDraws, by_law
 from bayesbl.recording.types import FloatArray
 
 FEWEST_JOINTS = 3
-"""Of a type: two rates say nothing of a spread that is not mostly its prior."""
+"""Fewest joints of a type: the spread of two rates is mostly its prior."""
 
 BELIEF = 6.0
-"""Joints that what is believed of laws beforehand counts as. Less, and joints that tell little of
-their laws are soon taken to have the same."""
+"""Number of joints that the prior of the laws counts as. With less, joints that show little of
+their laws are soon assumed to share one."""
 
 SPREAD = (0.03, 3.0)
-"""Range of τ: from joints that wear alike within 3 % to those that differ twentyfold. Its prior is
-flat (Gelman 2006): flat in ln τ, few joints are taken for more alike than they are."""
+"""Range of τ, from joints alike within 3 % to twentyfold differences. The prior is flat (Gelman
+2006); flat in ln τ, few joints would seem too similar."""
 
 JUMP_SPREAD = (2.0, 4.0)
 """Range of t: joints share the order of magnitude of their jumps, or, at 4, no more than the prior
-of a lone joint says."""
+of a single joint."""
 
 FALSE_CALLS = 0.05
-"""Of the joints that are called over their limit."""
+"""Expected share of false calls among the joints called over their limit."""
 
 OWN_RATE = 3.0
-"""Scale of the rates of joints that wear in their own way, over the type's median."""
+"""Scale of the rates of joints that wear in their own way, relative to the type's median."""
 
 BURN_IN, SWEEPS = 200, 800
 HYPER_DRAWS = 100
-"""Of the type, that joints are weighed by: every eighth sweep."""
+"""Draws of the type by which joints are weighted: every eighth sweep."""
 
 DRAWS_A_SWEEP = 400
-"""Of each joint, that a sweep chooses from; all are weighed at the end."""
+"""Draws of each joint from which a sweep chooses; all are weighted at the end."""
 
 FEWEST_EFFECTIVE = 100.0
-"""Effective draws below which a joint stays alone: the level of its 90 % interval would be known to
-3 %, √(p (1 − p)/n)."""
+"""Fewest effective draws; below, a joint stays alone, because the level of its 90 % interval would
+be uncertain by 3 %, √(p (1 − p)/n)."""
 
 _PRIOR = np.array([kind.probability for kind in KINDS])
 
 _SLOPE = 1.0
-"""Sd of the normal prior of β, around no dependence."""
+"""Standard deviation of the normal prior of β."""
 
 _FAR = 3.0
-"""Sd of the normal priors of μ and m around the middle of all joints: as good as flat."""
+"""Standard deviation of the normal priors of μ and m around the middle of all joints: nearly
+flat."""
 
 _LOG_JUMPS = 2.0 * float(np.log(SCATTER[1] / SCATTER[0]))
-"""Width of the prior of ln s of a lone joint."""
+"""Width of the prior of ln s for a single joint."""
 
 
 @dataclass(frozen=True, slots=True)
 class TypeRates:
-    """What the joints of one type say of it.
+    """What the joints of a type show about it.
 
     ``median_rad_per_year``, ``spread``: draws of exp μ and of τ, shape (draw,). ``law``: share of
-    its joints by law, the mean of what is left open. ``own``: draws of ε, the share of joints that
-    wear in their own way, shape (draw,). ``factors``: what more of a covariate does, by its name.
+    the joints by law (mean). ``own``: draws of ε, shape (draw,). ``factors``: effect of each
+    covariate.
     """
 
     joints: int
@@ -101,11 +100,8 @@ class TypeRates:
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """By how much the rate is multiplied where a covariate is higher by its standard deviation.
-
-    ``sd``: over the joints of the type, in the covariate's unit. ``draws``: of the factor, shape
-    (draw,).
-    """
+    """Factor on the rate (``draws``, shape (draw,)) if a covariate rises by its standard deviation
+    ``sd`` over the joints of the type, in its own unit."""
 
     sd: float
     draws: FloatArray
@@ -113,11 +109,11 @@ class Factor:
 
 @dataclass(frozen=True, slots=True)
 class Borrowed:
-    """What its type says of one joint.
+    """What its type adds to a joint.
 
-    ``chosen``: numbers of draws to take in place of its own, with repetition, shape (draw,);
-    ``None`` where the joint stays alone, as too few of its draws are near what its type says.
-    ``probability_own``: that it wears in its own way.
+    ``chosen``: numbers of draws that replace its own, with repetition, shape (draw,); ``None`` if
+    too few of its draws are near the type. ``probability_own``: probability that it wears in its
+    own way.
     """
 
     chosen: NDArray[np.int_] | None
@@ -126,7 +122,7 @@ class Borrowed:
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """The type, and what it says of each of its joints."""
+    """A type, and what it adds to each of its joints."""
 
     rates: TypeRates
     joints: tuple[Borrowed, ...]
@@ -137,10 +133,9 @@ def pooled(
     generator: np.random.Generator,
     covariates: Mapping[str, FloatArray] | None = None,
 ) -> Pooled | None:
-    """Pool the joints of one type; ``None`` where they are too few.
+    """Pool the joints of a type; ``None`` if there are too few.
 
-    ``covariates`` that the rate may depend on have shape (joint,), in any unit; one that all joints
-    share says nothing and is left out.
+    ``covariates`` have shape (joint,), in any unit; one that all joints share is left out.
     """
     if len(joints) < FEWEST_JOINTS:
         return None
@@ -177,10 +172,10 @@ def pooled(
 
 
 def alarms(probability: Sequence[float | None]) -> list[bool]:
-    """Which joints to call over their limit so that of those called at most 5 % are not.
+    """Which joints to call over their limit, with at most 5 % expected false calls.
 
-    The largest set whose mean probability of a false call stays below that (Müller, Parmigiani and
-    Rice 2007); a joint without a probability is not called.
+    This is the largest set whose mean probability of a false call is below that (Müller, Parmigiani
+    and Rice 2007). A joint without a probability is not called.
     """
     false = np.array([1.0 if p is None else 1.0 - p for p in probability])
     order = np.argsort(false, kind="stable")
@@ -193,7 +188,7 @@ def alarms(probability: Sequence[float | None]) -> list[bool]:
 
 @dataclass(frozen=True, slots=True)
 class _Log:
-    """Draws, rate and jump as logarithms, shape (…, draw)."""
+    """Draws with rate and jump as logarithms, shape (…, draw)."""
 
     rate: FloatArray
     kind: NDArray[np.int_]
@@ -212,7 +207,7 @@ class _Log:
 
 @dataclass(frozen=True, slots=True)
 class _Type:
-    """One draw of what joints of a type have in common."""
+    """One draw of what the joints of a type have in common."""
 
     centre: float
     slope: FloatArray
@@ -223,10 +218,10 @@ class _Type:
     own: float
 
     def worth(self, joint: _Log, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What each draw is worth to its type, and as one in its own way, (…, draw) both.
+        """Weight of each draw for the type, and as a joint of its own, both (…, draw).
 
-        Densities over the lone joint's prior, which is flat in the rate. ``x`` are the covariates,
-        shape (…, c).
+        Densities relative to the prior of a single joint, which is flat in the rate. ``x``:
+        covariates, shape (…, c).
         """
         from_centre = joint.rate - self.centre - (x @ self.slope)[..., None]
         alike = -0.5 * (from_centre / self.spread) ** 2 - from_centre
@@ -239,7 +234,7 @@ class _Type:
 
 
 def _sampled(joints: _Log, x: FloatArray, generator: np.random.Generator) -> list[_Type]:
-    """Types by Gibbs sampling, from draws of all joints, shape (joint, draw)."""
+    """Types by Gibbs sampling from draws of all joints, shape (joint, draw)."""
     middle, middle_jump = float(np.median(joints.rate)), float(np.median(joints.jump))
     one = _Type(middle, np.zeros(x.shape[1]), 0.5, _PRIOR, middle_jump, 1.5, 0.2)
     number, count = joints.rate.shape
@@ -273,7 +268,7 @@ def _sampled(joints: _Log, x: FloatArray, generator: np.random.Generator) -> lis
 def _regression(
     values: FloatArray, x: FloatArray, spread: float, middle: float, generator: np.random.Generator
 ) -> tuple[float, FloatArray]:
-    """μ and β given ln r_j and τ."""
+    """Draw μ and β given ln r_j and τ."""
     columns = np.column_stack([np.ones(values.size), x])
     prior = np.array([_FAR, *[_SLOPE] * x.shape[1]]) ** -2.0
     believed = np.array([middle, *[0.0] * x.shape[1]])
@@ -287,7 +282,7 @@ def _regression(
 def _spread(
     apart: FloatArray, bounds: tuple[float, float], generator: np.random.Generator
 ) -> float:
-    """τ given ln r_j − μ, on a grid of 2 to 5 %."""
+    """Draw τ given ln r_j − μ, on a grid of 2 to 5 %."""
     grid = np.geomspace(*bounds, 100)
     # One power less of τ, for the grid is even in ln τ and its prior in τ.
     log = (1 - apart.size) * np.log(grid) - 0.5 * float(apart @ apart) / grid**2
@@ -298,7 +293,7 @@ def _spread(
 def _borrowed(
     joint: _Log, x: FloatArray, types: Sequence[_Type], generator: np.random.Generator
 ) -> Borrowed:
-    """Draws of a joint weighed by its type, and how probably it wears in its own way."""
+    """Draws of a joint weighted by its type, and the probability that it wears in its own way."""
     weight, is_own = np.zeros(joint.rate.size), 0.0
     for one in types:
         alike, own = one.worth(joint, x)

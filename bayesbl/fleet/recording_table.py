@@ -1,8 +1,8 @@
-"""A ``recordings.parquet`` that grows a row at a time, and survives a power cut at any moment.
+"""A ``recordings.parquet`` that grows row by row, and survives a power cut at any moment.
 
-Its key is the device, the joint and the SHA-256 of the recording: the same answer twice is one row,
-and one that could be used takes the place of one that could not. The same laws hold on the device
-that measures and where answers of many are collected, whatever the order in which they come.
+Its key is device, joint and SHA-256 of the recording. The same answer twice is one row, and a
+usable answer replaces an unusable one. This holds on the measuring device and where answers are
+collected, in whatever order they come.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _BESIDE = ".growing"
 
 @dataclass(slots=True)
 class RecordingTable:
-    """The rows in memory, by joint, date and file, and their file.
+    """Rows in memory, by joint, date and file, and their file.
 
-    ``beside``: hidden folder for what whoever writes the table must not forget. It is locked.
+    ``beside``: a locked hidden folder for the writer's own data.
     """
 
     path: Path
@@ -47,10 +47,10 @@ class RecordingTable:
     @classmethod
     @contextmanager
     def opened(cls, output: Path) -> Iterator[RecordingTable]:
-        """The table of an output folder, which is made, for one writer at a time.
+        """The table of an output folder, for one writer at a time; the folder is made if needed.
 
-        Raises UserError if the folder holds a fleet's result, which the next run of the fleet
-        replaces; if what is there is no such table, another writer has it, or pyarrow is missing.
+        Raises UserError if the folder holds a fleet's result, which the next run replaces, if the
+        table is damaged or in use, or without pyarrow.
         """
         require_tables()
         require_no_link(output)
@@ -65,13 +65,13 @@ class RecordingTable:
             yield cls(path, beside, _read(path))
 
     def holds_measured(self, joint: str, sha256: str) -> bool:
-        """Whether a recording was measured here, and could be used."""
+        """Whether a recording was measured here and is usable."""
         return bool(self._outcomes(None, joint, sha256) - UNUSABLE)
 
     def put(self, row: Row) -> bool:
-        """Add a row, unless it is there already, or one of the same recording that says more.
+        """Add a row, unless the table has it, or one of the same recording that says more.
 
-        A row of the same device, joint and file is of what the file held before, and goes.
+        Rows of the same device, joint and file describe its former content and are removed.
         """
         if self._knows(row):
             return False
@@ -81,10 +81,7 @@ class RecordingTable:
         return True
 
     def save(self) -> None:
-        """Have all rows on the disk.
-
-        Raises OSError if they cannot be written: the file is then as it was.
-        """
+        """Write all rows to disk. Raises OSError and leaves the file unchanged if that fails."""
         if self._changed:
             with replacing(self.path, durable=True) as temporary:
                 write_table(self.rows, RECORDING_COLUMNS, temporary)
@@ -104,7 +101,7 @@ class RecordingTable:
 
 
 def _replaces(row: Row, one: Row) -> bool:
-    """Whether it is of the same device and joint, and of the same file or bytes."""
+    """Whether both rows are of the same device and joint, and of the same file or bytes."""
     same = one["file"] == row["file"] or one["sha256"] == row["sha256"] is not None
     return same and (one["device"], one["joint"]) == (row["device"], row["joint"])
 

@@ -1,15 +1,14 @@
-"""Gaps measured one by one, paired through the bench that they share.
+"""Pair gaps that were measured one by one, through the bench that they share.
 
-Each recording of a joint is matched with the bench by itself, so its gap rests on its own draws of
-what is not known of the bench; but the bench is one for all. In coordinates z in which the prior of
-that is standard normal, with m and S mean and covariance of one recording's draws,
+Each recording of a joint is fitted by itself, with its own draws of the bench's unknowns, although
+the bench is one for all. z are these unknowns in coordinates in which their prior is standard
+normal; m and S are mean and covariance of one recording's draws:
 
     likelihood of recording i:   N(z; S⁻¹m / Λ, Λ⁻¹),   Λ = S⁻¹ − 1
     all of them:                 precision 1 + Σ Λ,      mean (1 + Σ Λ)⁻¹ Σ S⁻¹m
 
-and ln δ of a recording is linear in z, with what z leaves resampled from the recording's own
-draws. One z is drawn for all recordings, so that the bench cancels in a change as it does where
-they are matched together.
+ln δ of a recording is linear in z; the rest is resampled from the recording's own draws. All
+recordings share the drawn z, so the bench cancels in a change as it does in a joint fit.
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ from bayesbl.probabilities import chi2_sf
 from bayesbl.recording.types import FloatArray
 
 FALSE_ALARM = 0.01
-"""Of recordings that are said to need another bench than the others, over those of one joint."""
+"""Probability that a recording of one joint seems to need another bench."""
 
 LEARNT = 0.5
-"""Share of the prior's variance below which a recording says where a direction of z lies: half of
-it leaves the other half of what is compared to the prior, which all recordings have in common."""
+"""Share of the prior's variance below which a recording determines a direction of z. At half, the
+prior, which all recordings share, is half of what is compared."""
 
 BEYOND_CHANCE = 3.0
-"""Standard deviations of a variance of finite draws."""
+"""Standard deviations of the variance of finitely many draws."""
 
 _EDGE = 1e-4
 """Shares of a flat prior beyond which draws count as at its edge (3.7 standard deviations)."""
@@ -43,9 +42,9 @@ _EDGE = 1e-4
 def as_normal(
     unknowns: Sequence[Unknown], draws: Sequence[FloatArray], joint: JointNormal | None
 ) -> FloatArray:
-    """Draws of values in coordinates whose prior is standard normal, shape (unknown, draw).
+    """Draws in coordinates with a standard normal prior, shape (unknown, draw).
 
-    ``joint``: the prior that some of the unknowns have together.
+    ``joint``: the common prior of some of the unknowns.
     """
     normals = np.array([_alone(u, values) for u, values in zip(unknowns, draws, strict=True)])
     if joint is None:
@@ -58,7 +57,7 @@ def as_normal(
 
 
 def _alone(unknown: Unknown, values: FloatArray) -> FloatArray:
-    """Draws of one unknown where its own prior is standard normal, whatever others share it."""
+    """Draws of an unknown in coordinates in which its own prior is standard normal."""
     coordinate = np.log(values) if unknown.logarithmic else values
     if np.isfinite(unknown.sd):
         return np.asarray((coordinate - unknown.centre) / unknown.sd)
@@ -68,7 +67,8 @@ def _alone(unknown: Unknown, values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MatchedAlone:
-    """One recording's posterior: ``gap_rad`` shape (draw,), ``bench`` shape (unknown, draw)."""
+    """Posterior of one recording: ``gap_rad``, shape (draw,), and ``bench``, shape (unknown,
+    draw)."""
 
     gap_rad: FloatArray
     bench: FloatArray
@@ -85,10 +85,10 @@ class MatchedAlone:
 
     @cached_property
     def learnt(self) -> tuple[FloatArray, FloatArray]:
-        """Λ and S⁻¹m in the directions in which S is narrower than the prior beyond chance.
+        """Λ and S⁻¹m in the directions in which S is significantly narrower than the prior.
 
-        What finite draws scatter by would add up over the recordings of a joint to knowledge that
-        none of them has.
+        Otherwise the scatter of finitely many draws would add up over the recordings to false
+        knowledge.
         """
         values, vectors = np.linalg.eigh(self.covariance)
         scatter = np.sqrt(2.0 / self.bench.shape[1])
@@ -108,7 +108,7 @@ class MatchedAlone:
 
 
 def shared_bench(alone: Sequence[MatchedAlone]) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance of z by all these recordings; the prior's where there are none."""
+    """Mean and covariance of z from all these recordings; those of the prior without any."""
     precision = np.eye(alone[0].mean.size) + sum(one.learnt[0] for one in alone)
     covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     return np.asarray(covariance @ sum(one.learnt[1] for one in alone), dtype=float), covariance
@@ -126,13 +126,12 @@ def paired_gaps(
 
 
 def other_benches(alone: Sequence[MatchedAlone], names: Sequence[str]) -> dict[int, list[str]]:
-    """Recordings that need another bench than the others do, and in what they differ most.
+    """Recordings that need another bench than the others, and what differs most.
 
     With z of the others N(μ, V), the mean of a recording's draws is normal with mean (1 − S) μ and
-    covariance (1 − S) V (1 − S) + S − S²; compared in the directions that it has learnt.
-
-    ``names``: of what is not known of the bench. Returns number of the recording to names, the
-    largest difference first.
+    covariance (1 − S) V (1 − S) + S − S². It is compared in the directions that the recording
+    determines. Returns the unknowns (of these ``names``) by number of the recording, the largest
+    difference first.
     """
     if len(alone) < 2 or not names:
         return {}
@@ -149,7 +148,8 @@ def other_benches(alone: Sequence[MatchedAlone], names: Sequence[str]) -> dict[i
 def _difference(
     one: MatchedAlone, others: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """What the recording's mean differs by from what the others say, and the covariance of that."""
+    """Difference between the recording's mean and that expected from the others, and its
+    covariance."""
     mean, covariance = others
     values, vectors = np.linalg.eigh(one.covariance)
     shares = np.minimum(values, 1.0)

@@ -1,1 +1,1 @@
-"""What the user reads and sees of a result: sentences, terminal, page, figures."""
+"""What users read and see of a result: sentences, terminal, page, figures."""

@@ -1,9 +1,8 @@
-"""A fit or a comparison in words: its gaps, their change, and everything that limits the answer.
+"""A fit or a comparison in words: gaps, their change, advice, assumptions, and all that limits
+them.
 
-Where several routes answered they stand side by side: which is the answer and why, in one line; a
-disagreement between them comes first.
-
-With it goes what to do about it and what it takes for granted.
+If several routes answered, they are shown side by side. One line says which is the answer and why;
+a disagreement comes first.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ RINGING_EXPLAINED = (
 OTHER_MACHINE = "If this joint were the paper's test bench, at an assumed 2000 rpm"
 
 DISAGREE = "routes_disagree"
-"""Code of the reason that two routes answer, and not alike."""
+"""Code of the reason that two routes give different answers."""
 
 SHRANK = (
     "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "
@@ -54,26 +53,26 @@ def is_measured(summary: Summary) -> TypeGuard[MeasuredSummary]:
 
 
 def snapshots(summary: MeasuredSummary) -> list[tuple[str, SnapshotSummary]]:
-    """(name, part) of every snapshot; the name of a fit's only one is empty."""
+    """Name and part of every snapshot; the only one of a fit has an empty name."""
     if summary["kind"] == "compare":
         return [(part["name"], part) for part in summary["snapshots"]]
     return [("", summary)]
 
 
 def codes(reason: ReasonSummary | None) -> list[str]:
-    """Of a reason and of all beneath it."""
+    """Codes of a reason and of all reasons below it."""
     if reason is None:
         return []
     return [reason["code"], *(code for also in reason.get("also", ()) for code in codes(also))]
 
 
 def answering(part: SnapshotSummary) -> list[RouteSummary]:
-    """What each route that ran says of a snapshot, the one that answers first."""
+    """The routes of a snapshot that ran, the answering one first."""
     return [route for route in part["routes"].values() if "diagnostics" in route]
 
 
 def with_ringing(part: SnapshotSummary) -> RouteSummary | None:
-    """What the route that fitted the ringing says of a snapshot."""
+    """The route that fitted the ringing of a snapshot."""
     return next((route for route in answering(part) if "rmse_rpm" in route), None)
 
 
@@ -83,7 +82,7 @@ def is_simulated(summary: MeasuredSummary) -> bool:
 
 
 def is_ringing_alone(summary: MeasuredSummary) -> bool:
-    """Whether the ringing was measured and no curve leads from it to a gap."""
+    """Whether the ringing was measured and no curve converts it to a gap."""
     return all("rmse_rpm" in part and part["curve"] is None for _, part in snapshots(summary))
 
 
@@ -119,7 +118,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
 
 
 def lead(summary: MeasuredSummary) -> Iterator[str]:
-    """What a fit or a comparison leads with: a disagreement, then the wear where it has a rate."""
+    """The first sentences: a disagreement, a shrunken gap, the wear, then the answer."""
     if DISAGREE in codes(summary["reason"]) and summary["reason"] is not None:
         yield words.capitalised(summary["reason"]["text"])
     if (why := shrinkage(summary)) is not None:
@@ -137,12 +136,12 @@ def lead(summary: MeasuredSummary) -> Iterator[str]:
 
 
 def headline(summary: MeasuredSummary) -> str:
-    """What comes first of that."""
+    """The first of these sentences."""
     return next(lead(summary))
 
 
 def in_words(summary: MeasuredSummary) -> str:
-    """The gap, or the change of compared ones; of the ringing, where there is no curve."""
+    """The gap or the change of compared gaps; without a curve, that of the ringing."""
     alone = is_ringing_alone(summary)
     text = _ringing_in_words(summary) if alone else _gap_in_words(summary)
     what = "ringing" if alone else "gap"
@@ -198,7 +197,7 @@ def _ringing_in_words(summary: MeasuredSummary) -> str | None:
 
 
 def which(summary: MeasuredSummary) -> str | None:
-    """Which route's answer is the answer, why, and what each rests on; ``None`` for one alone."""
+    """Which route answers, why, and what each route uses; ``None`` if only one was asked for."""
     first = snapshots(summary)[0][1]
     if len(first["routes"]) < 2 or summary["answer"]["code"] == "only_route":
         return None
@@ -223,7 +222,7 @@ def _uses(route: RouteSummary) -> str:
 
 
 def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
-    """Why a route beside the answer has none, unless that is why the other one answers."""
+    """Why another route has no answer, unless that is why this one answers."""
     reasons: dict[tuple[str, str], list[str]] = {}
     for name, part in parts:
         listed = part["diagnostics"]["reasons"]
@@ -243,7 +242,7 @@ def grew(value: float) -> str:
 
 
 def shrinkage(summary: MeasuredSummary) -> str | None:
-    """That a comparison has less gap than before, and no repair is stated, in words."""
+    """A sentence if a gap is smaller than before, and no repair is stated."""
     if summary["kind"] != "compare" or summary["change_rad"] is None:
         return None
     dated = summary["wear"]
@@ -256,7 +255,7 @@ def shrinkage(summary: MeasuredSummary) -> str | None:
 
 
 def steps(summary: MeasuredSummary) -> Iterator[str]:
-    """Each step between neighbours, where there are more than two snapshots."""
+    """Each change between neighbours, if there are more than two snapshots."""
     if summary["kind"] != "compare":
         return
     changes, unless = summary["changes"], wear.unless(summary)
@@ -269,14 +268,14 @@ def steps(summary: MeasuredSummary) -> Iterator[str]:
 
 
 def is_by_other_machine(summary: MeasuredSummary) -> bool:
-    """Whether the answer rests on the gap curve of the paper's test bench."""
+    """Whether the answer uses the gap curve of the paper's test bench."""
     from bayesbl.config.sections import PUBLISHED
 
     return snapshots(summary)[0][1]["curve"] == PUBLISHED
 
 
 def above_limit(summary: MeasuredSummary) -> str | None:
-    """The probability of each snapshot above the limit; ``None`` without a limit."""
+    """The probability of each snapshot to be above the limit; ``None`` without a limit."""
     limited = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
     if not limited or is_ringing_alone(summary) or is_by_other_machine(summary):
         return None
@@ -291,7 +290,7 @@ def above_limit(summary: MeasuredSummary) -> str | None:
 
 
 def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
-    """Each gap in the unit and of the kind that the limit was stated in; ``None`` without one."""
+    """Each gap in the limit's unit and kind; ``None`` without a limit."""
     stated = [(n, p["limit"]) for n, p in snapshots(summary) if "limit" in p]
     if stated and stated[0][1]["unit"] == "mrad of δ":
         return None  # as in the table
@@ -304,7 +303,7 @@ def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
 
 
 def budget(summary: MeasuredSummary) -> Iterator[str]:
-    """Where the width of each interval given comes from, in one line."""
+    """The sources of each gap's variance, in one line."""
     for name, part in snapshots(summary):
         shares = sorted(part["budget"].items(), key=lambda item: -item[1])
         each = [
@@ -330,9 +329,9 @@ def friction(summary: MeasuredSummary) -> Iterator[str]:
 
 
 def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
-    """(``Withheld`` or ``Note``, sentence) of all that limits an answer, each once.
+    """Label (``Withheld`` or ``Note``) and sentence of all that limits an answer, each once.
 
-    The names of the snapshots that it applies to come first.
+    The names of the snapshots concerned come first.
     """
     names: dict[tuple[str, str], list[str]] = {}
     for name, part in snapshots(summary):
@@ -344,7 +343,7 @@ def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
 
 
 def sampler_check(check: SamplerCheckSummary) -> str:
-    """What the second sampler found of every parameter."""
+    """How the second sampler differs, for each parameter."""
     differences = "; ".join(
         f"{symbol} {number(each['difference_sd'], 2)} sd, width × {each['width_ratio']:.2f}"
         for symbol, each in check["symbols"].items()
@@ -354,7 +353,7 @@ def sampler_check(check: SamplerCheckSummary) -> str:
 
 
 def _gap_table(summary: MeasuredSummary) -> Table:
-    """A row a snapshot, and one of the change; columns for each route, and for what it adds."""
+    """A row for each snapshot and for the change; columns for each route."""
     parts = snapshots(summary)
     named = [text("Snapshot")] if summary["kind"] == "compare" else []
     routes = [route["route"] for route in answering(parts[0][1])]
@@ -386,7 +385,7 @@ def _gap_table(summary: MeasuredSummary) -> Table:
 
 
 def _ringing_table(summary: MeasuredSummary) -> Table:
-    """What the ringing of each snapshot is: A, τ, ω, and how well the waveform fits."""
+    """The ringing of each snapshot: A, τ, ω, and how well the waveform fits."""
     from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
     named = [text("Ringing")] if summary["kind"] == "compare" else []
@@ -417,7 +416,7 @@ _AGAIN = {
     "reversals": "with more reversals, slow and fast",
 }
 _LONGER = "longer and at one constant speed"
-"""How to record again, by a key of what the route tells; of the others."""
+"""How to record again, by a key of the route's summary; the latter for other routes."""
 
 NOT_SHOWN = "No wear is shown: something other than the gap may have changed."
 
@@ -445,7 +444,7 @@ def advice(summary: MeasuredSummary) -> Advice:
 
 
 def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
-    """By the limit, a forecast where it is ahead, or the growth where there is no limit."""
+    """Advice by the limit, by a forecast if the limit is ahead, or by growth without a limit."""
     compared = summary if summary["kind"] == "compare" else None
     rated = wear.with_rate(compared) if compared else None
     cause, unless = (wear.other_cause(compared), wear.unless(compared)) if compared else (None, "")
@@ -488,7 +487,7 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
 
 
 def _of_ringing(summary: MeasuredSummary) -> Advice:
-    """What to do about a ringing that no curve leads from to a gap."""
+    """Advice for a ringing without a gap curve."""
     if summary["kind"] == "compare" and not summary["same_joint"]["agrees"]:
         return Advice(
             "watch",
@@ -578,7 +577,7 @@ def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterat
 
 
 def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
-    """The answer of a preloaded joint; ``None`` with play."""
+    """The answer for a preloaded joint; ``None`` with play."""
     if not part.get("preloaded") or part["delta_rad"] is None:
         return None
     lifts = part["preload_torque_nm"]
@@ -593,7 +592,7 @@ def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
 
 
 def _play_columns(part: SnapshotSummary) -> dict[str, Callable[[SnapshotSummary], str]]:
-    """What a route that measures the play shows of a snapshot beside δ, by title of its column."""
+    """Further columns of a route that measures the play, by title."""
     if "ramps" in part:
         at = words.significant(part["lost_motion_torque_nm"])
         return {
@@ -612,7 +611,7 @@ def _play_columns(part: SnapshotSummary) -> dict[str, Callable[[SnapshotSummary]
 
 
 def _outcome(part: SnapshotSummary) -> str:
-    """Whether there is play, where that is not sure; else how the measurement ended."""
+    """The outcome of a snapshot, or whether there is play if that is uncertain."""
     if part.get("preloaded"):
         return "no play"
     if "reversals" in part and part["delta_upper_bound_rad"] is not None:
@@ -621,7 +620,7 @@ def _outcome(part: SnapshotSummary) -> str:
 
 
 def _of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
-    """A sentence for each snapshot on the widths that its positions around the turn have."""
+    """Widths at the positions around the turn, and the wind-up within them, for each snapshot."""
     for name, part in parts:
         if part["delta_rad"] is None:
             continue

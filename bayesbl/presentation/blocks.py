@@ -1,4 +1,4 @@
-"""What a result says, as headings, sentences and tables: terminal and page render the same ones."""
+"""Headings, sentences and tables of a result; terminal and page render the same ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Tone = Literal["", "answer", "withheld", "aside", "warning"]
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """The title of what follows."""
+    """A title."""
 
     kind: ClassVar[str] = "heading"
     text: str
@@ -19,7 +19,7 @@ class Heading:
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """A sentence, with a label before it or none."""
+    """A sentence with an optional label."""
 
     kind: ClassVar[str] = "sentence"
     text: str
@@ -29,7 +29,7 @@ class Sentence:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The head of a column; a line break in ``title`` is for the terminal alone."""
+    """Head of a column; a line break in ``title`` is for the terminal only."""
 
     title: str
     numeric: bool
@@ -37,7 +37,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns, and rows with a text for each of them."""
+    """Columns, and rows of texts."""
 
     kind: ClassVar[str] = "table"
     columns: tuple[Column, ...]
@@ -48,29 +48,29 @@ Block = Heading | Sentence | Table
 
 
 def labelled(lines: Mapping[str, object]) -> Iterator[Sentence]:
-    """Sentences by their labels; those that say nothing are left out."""
+    """Sentences with labels; empty ones are left out."""
     yield from (
         Sentence(str(said), label=label) for label, said in lines.items() if said not in (None, "")
     )
 
 
 def aside(sentence: str) -> Sentence:
-    """What need not be read."""
+    """A sentence of secondary importance."""
     return Sentence(sentence, "aside")
 
 
 def text(title: str) -> Column:
-    """A column of text, set to the left."""
+    """A left-aligned column of text."""
     return Column(title, numeric=False)
 
 
 def numbers(title: str) -> Column:
-    """A column of numbers, set to the right."""
+    """A right-aligned column of numbers."""
     return Column(title, numeric=True)
 
 
 def table(columns: Iterable[Column], rows: Iterable[Iterable[object]]) -> Table:
-    """A table; cells as text."""
+    """A table with cells converted to text."""
     return Table(tuple(columns), tuple(tuple(str(cell) for cell in row) for row in rows))
 
 
@@ -79,7 +79,7 @@ AdviceTone = Literal["fine", "watch", "act", "withheld", "note"]
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A short order and why; ``tone`` decides the colour, never the meaning alone."""
+    """A short instruction and its reasons; ``tone`` only chooses the colour."""
 
     tone: AdviceTone
     title: str

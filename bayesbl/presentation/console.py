@@ -1,4 +1,4 @@
-"""What commands print: a result with all that limits it, the catalogue, what `init` guessed."""
+"""What commands print: results, the catalogue of effects, the guesses of ``init``."""
 
 from __future__ import annotations
 
@@ -59,15 +59,13 @@ SUBJECTS: Mapping[str, ModuleType] = MappingProxyType(
         "fleet": fleet,
     }
 )
-"""Kind of result to the module with its ``headline``, ``blocks``, ``advice`` and ``assumptions``.
-
-Each is a function of the summary: the answer in a sentence, all that is said below it, what to do,
-and what is taken for granted. A fleet has pages of its own, and needs neither of the last two.
-"""
+"""Module for each kind of result, with functions of the summary: ``headline`` (one sentence),
+``blocks`` (everything below it), ``advice`` and ``assumptions``. A fleet has pages of its own and
+lacks the last two."""
 
 
 def blocks(summary: Summary) -> Iterator[Block]:
-    """Everything that is said of a result below its headline."""
+    """Everything below the headline of a result."""
     kind = summary["kind"]
     yield from SUBJECTS[kind].blocks(summary)
     for warning in summary["warnings"]:
@@ -76,7 +74,7 @@ def blocks(summary: Summary) -> Iterator[Block]:
 
 
 def details(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
-    """Diagnostics, from the stored result too."""
+    """Diagnostics of a stored result."""
     return estimates.blocks(tree, summary) if answer.is_measured(summary) else iter(())
 
 
@@ -97,13 +95,13 @@ def origin(tree: xr.DataTree) -> Iterator[Block]:
 
 
 def all_bibtex() -> str:
-    """The works behind every result; ``annote`` says what each did for it."""
+    """The works behind every result as BibTeX; ``annote`` says what each contributes."""
     stored = files("bayesbl.presentation") / "citations.bib"
     return stored.read_text(encoding="utf-8").strip().replace("VERSION", __version__)
 
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:
-    """The answer in words, what to do, its table, and everything that limits the answer."""
+    """Print the answer, the advice, the tables, and everything that limits the answer."""
     tone: Tone = "withheld" if summary["outcome"] == "withheld" else "answer"
     print_blocks([Sentence(SUBJECTS[summary["kind"]].headline(summary), tone)], console)
     if answer.is_measured(summary):
@@ -115,7 +113,7 @@ def print_result(summary: Summary, folder: Path | None, console: Console) -> Non
 
 
 def print_summary(tree: xr.DataTree, console: Console) -> None:
-    """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
+    """Print everything that a stored result says: answer, parameters, diagnostics, origin."""
     summary = summarise(tree)
     print_result(summary, None, console)
     print_blocks(details(tree, summary), console)
@@ -123,13 +121,13 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
 
 
 def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:
-    """Each effect with where it enters and what it is."""
+    """Each effect with its place of action and a sentence."""
     yield from labelled({f"{one.name} ({one.enters})": one.sentence for one in effects})
     yield aside("bayesbl effects NAME shows one in full.")
 
 
 def entry(effect: Effect) -> Iterator[Block]:
-    """Everything that the catalogue says of one effect."""
+    """The full catalogue entry of an effect."""
     yield Sentence(effect.name, "answer")
     lines = {
         "What": effect.sentence,
@@ -173,7 +171,7 @@ _SHARE = re.compile(r"[\[(]\s*(%|‰|prozent|promille|per ?cent|per ?mille)", re
 
 
 def guess_blocks(guess: Guess) -> Iterator[Block]:
-    """Columns with channel, unit and the reason for it."""
+    """The guessed columns with channel, unit and reason, and what to check."""
     yield Sentence("Guessed from the recording; please confirm:", "answer")
     rows = [(column.name, column.channel, column.unit, column.reason) for column in guess.columns]
     yield table(map(text, ("Column", "Channel", "Unit", "Reason")), rows)
@@ -201,7 +199,7 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
 
 
 def what_next(path: Path, *, sound: bool, route: str = "") -> str:
-    """Where the configuration is, and what to do with it."""
+    """Where the configuration was written, and what to do with it."""
     if not sound:
         return f"Written to {path}. It cannot run yet:"
     correct = (
@@ -224,7 +222,7 @@ def what_next(path: Path, *, sound: bool, route: str = "") -> str:
 
 
 def recording_line(row: Mapping[str, Any]) -> str:
-    """Joint, date and gap with its interval, or why there is none."""
+    """Joint, date and gap with its interval, or the reason for none."""
     what = f"{row['joint']}, {row['date']}: "
     if row["reason"] is not None:
         return what + str(row["reason"])

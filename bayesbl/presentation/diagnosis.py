@@ -1,4 +1,4 @@
-"""A diagnosis in words: what is missing, how sure that is, and what it explains."""
+"""A diagnosis in words: what the bench lacks, how certain that is, and what it explains."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 MOST_RIVALS = 2
-"""That a headline lists by name."""
+"""Largest number of rivals that a headline names."""
 
 UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to state a share."
 
@@ -38,7 +38,7 @@ USES = {"used": "fitted on", "held_out": "held out"}
 
 
 def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
-    """One sentence per effect and parameter, the disagreement, what still repeats."""
+    """A sentence for each effect and parameter, the model error, and what still repeats."""
     effects = map(effect_in_words, summary["effects"])
     yield from map(Sentence, (*effects, *parameter_errors(summary), *learned(summary)))
     disagreement = disagreement_table(summary["disagreement"])
@@ -49,7 +49,7 @@ def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
 
 
 def headline(summary: DiagnosisSummary) -> str:
-    """The verdict as a sentence, with the size of what is missing."""
+    """The verdict with the size of what is missing."""
     match summary["verdict"]:
         case "named":
             names = [_size_in_short(effect) for effect in summary["effects"]]
@@ -91,7 +91,7 @@ def headline(summary: DiagnosisSummary) -> str:
 
 
 def _size_in_short(effect: EffectSummary) -> str:
-    """``load Coulomb friction 6.1 N m (5.8 to 6.4)``, its order and its rivals."""
+    """``load Coulomb friction 6.1 N m (5.8 to 6.4)``, with order and rivals."""
     parameters = dict(effect["parameters"])
     order = parameters.pop("order", None)
     name, size = next(iter(parameters.items()))
@@ -107,7 +107,7 @@ def _size_in_short(effect: EffectSummary) -> str:
 
 
 def effect_in_words(effect: EffectSummary | EffectFound) -> str:
-    """A named effect with its parameters and what it cannot be distinguished from."""
+    """A named effect with its parameters and the effects that look the same."""
     parameters = ", ".join(starmap(sized, effect["parameters"].items()))
     text = f"{in_words(effect['name'])}: {parameters}."
     if alike := effect["indistinguishable_from"]:
@@ -116,7 +116,7 @@ def effect_in_words(effect: EffectSummary | EffectFound) -> str:
 
 
 def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
-    """Parameters that do not hold what the bench file says."""
+    """Parameters that differ from the bench file."""
     for error in summary["parameter_errors"]:
         name, unit = quantity_and_unit(error["name"])
         tolerance = f" ± {_digits(error['tolerance'])}" if error["tolerance"] else ""
@@ -126,12 +126,12 @@ def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def learned_of(summary: Answer) -> LearnedSummary | None:
-    """What was learned, if anything was."""
+    """The learned term, if there is one."""
     return summary.get("learned_torque") or summary.get("encoder_error")
 
 
 def learned(summary: DiagnosisSummary) -> Iterator[str]:
-    """What was learned: what it depends on, how large it is, what it is not told from."""
+    """The learned term: its variable, size, and alternatives."""
     term = learned_of(summary)
     if term is None:
         return
@@ -149,7 +149,7 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def dependence(term: LearnedDependence | LearnedSummary) -> str:
-    """``a torque at the load over the load angle, orders 1 to 7``; an error of the encoder too."""
+    """``a torque at the load over the load angle, orders 1 to 7``, or an error of the encoder."""
     turn = 2.0 * math.pi / term["period"]
     over, base = {
         "motor_angle": ("the motor angle", turn),
@@ -176,7 +176,7 @@ def remaining(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def wear(summary: DiagnosisSummary) -> Iterator[str]:
-    """Each gap after naming, and the first before: what the effects do to it."""
+    """Each gap after naming, and the first one before."""
     before, after = summary["delta_rad_before"], summary["delta_rad_after"]
     if learned_of(summary) is None and (withheld := summary.get("gap_withheld")):
         yield f"The gap is withheld: {withheld}"
@@ -203,7 +203,7 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def suggestion(summary: DiagnosisSummary) -> Iterator[str]:
-    """The recording that would separate what these cannot."""
+    """The recording that would separate hypotheses that look the same."""
     recording = summary["suggested_recording"]
     if recording is None:
         return
@@ -220,7 +220,7 @@ def suggestion(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def sized(parameter: str, interval: Interval | HeldValue) -> str:
-    """``torque 15.00 N m (14.99 to 15.02)``; of one recording, ``phase (reverse) 0.71 rad``."""
+    """``torque 15.00 N m (14.99 to 15.02)``; for one recording, ``phase (reverse) 0.71 rad``."""
     name, space, recording = parameter.partition(" ")
     quantity, unit = quantity_and_unit(name)
     return f"{quantity}{space}{recording} {_value(interval, unit)}"
@@ -242,7 +242,7 @@ def _with_unit(value: str, unit: str) -> str:
 
 
 def disagreement_table(summary: DisagreementTableSummary) -> Table:
-    """RMS of each recording and channel, and over all."""
+    """RMS of the model error by recording and channel, and over all."""
     titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
     pieces = list(compared_pieces(summary))
     several = len({channel for _, channel, *_ in pieces}) > 1
@@ -266,16 +266,16 @@ def disagreement_table(summary: DisagreementTableSummary) -> Table:
 def compared_pieces(
     table: DisagreementTableSummary,
 ) -> Iterator[tuple[str, str, Use, DisagreementSummary]]:
-    """Recording, channel, use and disagreement of everything that was compared."""
+    """Recording, channel, use and model error of everything compared."""
     for recording, channels in table["recordings"].items():
         for channel, uses in channels.items():
             yield from ((recording, channel, use, row) for use, row in uses.items())
 
 
 def removed(closed: float | None) -> str:
-    """The share of the disagreement that naming removes, never above all of it.
+    """Share of the model error that naming removes, at most all of it.
 
-    Stored values may exceed 1, because the noise that they are counted from is an estimate.
+    Stored values may exceed 1, because the noise floor is an estimate.
     """
     if closed is None:
         return "–"
@@ -290,7 +290,7 @@ def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_
 
 
 def assumptions(_: object) -> tuple[str, ...]:
-    """What has to hold."""
+    """Assumptions of a diagnosis."""
     return (
         "What is missing, if anything, is in the catalogue (bayesbl effects).",
         "Noise does not repeat; a named effect predicts data that it was not fitted on.",
@@ -299,7 +299,7 @@ def assumptions(_: object) -> tuple[str, ...]:
 
 
 def advice(summary: DiagnosisSummary) -> Advice:
-    """Whether the bench can be used, and how it should be completed."""
+    """Whether the bench can be used, and how to complete it."""
     withheld = summary.get("gap_withheld")
     if withheld and learned_of(summary) is None:
         return Advice("watch", "Correct the bench before you use it.", (withheld,))
@@ -342,7 +342,7 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def unexplained_phrase(entry: RemainingSummary) -> str:
-    """``motor current: 0.13 A at 7.3 Hz, periodic in time``; for a verdict's list."""
+    """``motor current: 0.13 A at 7.3 Hz, periodic in time``."""
     return f"{CHANNELS.get(entry['channel'], entry['channel'])}: {_what(entry)}"
 
 

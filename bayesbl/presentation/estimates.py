@@ -1,4 +1,4 @@
-"""What was estimated of each snapshot: parameters, noise, sampling, rival optima."""
+"""Estimates of each snapshot: parameters, noise, sampling, rival optima."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
 
 
 def parameter_table(part: RouteSummary) -> Table:
-    """A row a parameter: where the fit is best, median, interval; of a simulation, its bound."""
+    """A row for each parameter: optimum, median or standard deviations, interval."""
     intervals: dict[str, Interval | None] = dict.fromkeys(part["optimum"])
     intervals.pop("rmse_rpm", None)
     intervals |= part["parameters"]
@@ -72,7 +72,7 @@ def parameter_table(part: RouteSummary) -> Table:
 
 
 def _row(part: RouteSummary, name: str, interval: Interval | None, values: int) -> list[str]:
-    """Name, so many values, interval and unit; what is fixed or withheld has no interval."""
+    """Name, values, interval and unit; fixed and withheld parameters have no interval."""
     quantity, unit = quantity_and_unit(name.replace("__", ": "))
     optimum = part["optimum"]
     if interval is None and name == "delta_rad":
@@ -95,7 +95,7 @@ def _row(part: RouteSummary, name: str, interval: Interval | None, values: int) 
 
 
 def noise(part: RouteSummary) -> str:
-    """``AR(1), standard deviation 1.51 rpm in speed, coefficients 0.600``; the current's too."""
+    """``AR(1), standard deviation 1.51 rpm in speed, coefficients 0.600``; also of the current."""
     model = part["noise"]
     kind = f"AR({model['order']})" if model["order"] else "white"
     if model.get("differentiated"):
@@ -147,7 +147,7 @@ def _box_search(part: RouteSummary) -> str:
 
 
 def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
-    """Other local optima of one snapshot, as amplitude and RMSE."""
+    """Other local optima of a snapshot, as amplitude and RMSE."""
     from bayesbl.measurement.stored import of_snapshot
 
     optimum = of_snapshot(tree.children[part["route"]].children["optimum"], name)
@@ -157,7 +157,7 @@ def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
 
 
 def _of_simulation(part: RouteSummary) -> Iterator[Block]:
-    """What the bound is, the predictive check, noise and sampling."""
+    """Predictive check, noise and sampling of a simulation."""
     yield aside(BOUND_EXPLAINED)
     yield _check_table(part)
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
@@ -174,7 +174,7 @@ def _of_simulation(part: RouteSummary) -> Iterator[Block]:
 
 
 def _of_ramps(part: RouteSummary) -> Iterator[Block]:
-    """What says whether there is play."""
+    """What shows whether there is play."""
     relative = part["relative_compliance"]
     shown = "not known, without larger ramps" if relative is None else words.significant(relative)
     sure = words.probability(part["probability_of_play"])

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bayesbl.runs.fleet import FleetSummary
 
 Row = Mapping[str, Any]
-"""Of a table of the fleet; or its summary."""
+"""A row of a table of the fleet, or its summary."""
 
 _SHOWN = 10
 
@@ -30,11 +30,11 @@ OUTCOMES = {
     "refused": "refused",
     "failed": "failed by a bug",
 }
-"""Of recordings, in words."""
+"""Outcomes of recordings in words."""
 
 
 def headline(summary: Row) -> str:
-    """How many joints and recordings, and how many joints are over their limit."""
+    """Number of joints and recordings, and of joints over their limit."""
     counted = summary["recordings"]
     measured = sum(counted.get(outcome, 0) for outcome in _MEASURED)
     alarms = len(summary["alarms"])
@@ -73,7 +73,7 @@ def _factor(covariate: tuple[str, Row]) -> str:
 
 
 def unlike_type(row: Row, summary: Row) -> str | None:
-    """How a joint wears whose recordings speak against its type; ``None`` where they do not."""
+    """How a joint wears if its recordings contradict its type; otherwise ``None``."""
     if (row["probability_unlike_type"] or 0.0) < 0.5:
         return None
     of_type = summary["types"].get(str(row.get(summary["pool_by"])))
@@ -120,7 +120,7 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Text, what is said below it, and what its column is sorted by."""
+    """A text, a second line below it, and the key that its column is sorted by."""
 
     text: str
     below: str = ""
@@ -128,7 +128,7 @@ class Cell:
 
 
 def interval_of(row: Row, name: str, summary: Row) -> Interval | None:
-    """A quantity of a row of the tables, if the row has it."""
+    """A quantity of a table's row as an interval, if the row has it."""
     if row[f"{name}_median"] is None:
         return None
     return {
@@ -141,7 +141,7 @@ def interval_of(row: Row, name: str, summary: Row) -> Interval | None:
 
 
 def in_mrad(row: Row, name: str, summary: Row) -> Cell:
-    """A quantity in rad with its interval in mrad."""
+    """A quantity in rad, shown in mrad with its interval."""
     interval = interval_of(row, name, summary)
     if interval is None:
         return Cell("–", key=-1.0)
@@ -162,7 +162,7 @@ def limit_reached(row: Row) -> Cell:
 
 
 def state(row: Row, summary: Row) -> str:
-    """How far a joint's wear is known."""
+    """What is known of a joint's wear."""
     if row["rate_rad_per_year_median"] is None:
         return "no gap" if row["delta_rad_median"] is None else "no rate"
     left_out, unlike = row["withheld"] + row["broken"], unlike_type(row, summary)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bayesbl.identification.next_recording import NextRecordingSummary
 
 LITTLE = 0.1
-"""Share learned below which a parameter counts as no better known than its data sheet."""
+"""A parameter of which less is learned is no better known than from its data sheet."""
 
 
 def headline(summary: IdentificationSummary) -> str:
@@ -36,7 +36,7 @@ def headline(summary: IdentificationSummary) -> str:
 
 
 def blocks(summary: IdentificationSummary) -> Iterator[Block]:
-    """Gaps, parameters, what is known together only, what disagrees, what to record next."""
+    """Gaps, parameters, what is only known together, the model error, what to record next."""
     yield from map(Sentence, gaps(summary))
     yield _parameters(summary)
     yield from map(Sentence, map(effect_in_words, summary["effects"]))
@@ -54,7 +54,7 @@ def blocks(summary: IdentificationSummary) -> Iterator[Block]:
 
 
 def compared(summary: IdentificationSummary) -> str:
-    """What is compared; a data sheet that no joint can be as is not simulated."""
+    """What before and after mean; a data sheet that no joint can have is not simulated."""
     overall = summary["disagreement"]["over_all"].values()
     if overall and all(part["before"] == part["after"] for part in overall):
         return (
@@ -65,14 +65,14 @@ def compared(summary: IdentificationSummary) -> str:
 
 
 def gaps(summary: IdentificationSummary) -> Iterator[str]:
-    """That of each recording."""
+    """The gap of each recording."""
     for name, gap in summary["gaps"].items():
         if gap is not None:
             yield f"The gap in {name} is {words.in_mrad(gap)}."
 
 
 def suggestion(recording: NextRecordingSummary) -> str:
-    """What to record next, and what it would tell."""
+    """What to record next, and what it would show."""
     speed = abs(recording["reference_speed_rpm"])
     direction = "in reverse" if recording["reference_speed_rpm"] < 0.0 else "forward"
     what, length = f"one at {speed:g} rpm {direction}", "five rotations"
@@ -88,7 +88,7 @@ def suggestion(recording: NextRecordingSummary) -> str:
 
 
 def advice(summary: IdentificationSummary) -> Advice:
-    """How to go on with the bench."""
+    """How to use the bench."""
     if summary["outcome"] == "withheld":
         return Advice("watch", "Do not use this bench.", (summary["reason"] or "",))
     sentences = (
@@ -101,7 +101,7 @@ def advice(summary: IdentificationSummary) -> Advice:
 
 
 def assumptions(summary: IdentificationSummary) -> Iterator[str]:
-    """What has to hold."""
+    """Assumptions of an identification."""
     yield "Each value has a normal prior around that of the data sheet, as wide as its tolerance."
     yield "Each recording has a gap of its own."
     yield "Nothing but the gap differs between the recordings: same controller and load."

@@ -70,7 +70,7 @@ def _plan_table(motions: list[PlannedEntry]) -> Table:
 
 
 def assumptions(_: object) -> tuple[str, ...]:
-    """What has to hold."""
+    """Assumptions of a plan."""
     return (
         "The joint behaves as its bench file says, within the tolerances given there.",
         "Its noise is that of the bench file, and it starts from rest.",

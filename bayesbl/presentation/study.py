@@ -12,25 +12,21 @@ if TYPE_CHECKING:
 
 
 def headline(summary: StudySummary) -> str:
-    """Which study, and how much of it."""
+    """Name and size of the study."""
     rows = summary["rows"]
     cases = sum(int(row["cases"]) for row in rows)
     return f"Study {summary['study']}: {cases} cases in {len(rows)} rows."
 
 
 def blocks(summary: StudySummary) -> Iterator[Block]:
-    """The table with the time that each row took; commits are in the files."""
+    """The table with the time of each row; commits are in the files."""
     from bayesbl.runs.study import table_columns
 
     yield study_table(summary["rows"], [*table_columns(summary["rows"])[:-1], "seconds"])
 
 
 def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
-    """One line a row, all values whole; what a row lacks stays empty.
-
-    ``lines``: the rows of the study, column to value. ``columns``: what is shown, in this order;
-    the first one names the row.
-    """
+    """A line for each row, with these columns; missing values stay empty."""
     from bayesbl.runs.study import cell
 
     first, *others = columns
@@ -39,7 +35,7 @@ def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> T
 
 
 def assumptions(_: object) -> tuple[str, ...]:
-    """What has to hold."""
+    """Assumptions of a study."""
     return ("Each case has random numbers of its own, from the seed, the row and its number.",)
 
 

@@ -1,4 +1,4 @@
-"""A sweep in words: over which gaps a bench was swept, and its gap curve."""
+"""A sweep in words: its range of gaps, and its gap curve."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def headline(summary: SweepSummary) -> str:
-    """Over which gaps the bench was swept, and how it then rings."""
+    """The range of gaps, and of the amplitude."""
     first, last = (f"{1e3 * gap:g}" for gap in summary["gap_rad"])
     low, high = (f"{amplitude:.1f}" for amplitude in summary["amplitude_rpm"])
     return (
@@ -35,7 +35,7 @@ def headline(summary: SweepSummary) -> str:
 
 
 def blocks(summary: SweepSummary) -> Iterator[Block]:
-    """The curve in words, its polynomial, and other degrees beside it."""
+    """The curve in words, its polynomial, and other degrees."""
     yield from map(Sentence, curve_quality(summary))
     yield _coefficient_table(summary)
     yield aside(GAP_EXPLAINED)
@@ -49,7 +49,7 @@ def blocks(summary: SweepSummary) -> Iterator[Block]:
 
 
 def curve_quality(summary: SweepSummary) -> Iterator[str]:
-    """How well the polynomial describes the sweep, how sure the curve is, how far from eq. 4."""
+    """How well the polynomial fits, how certain the curve is, and its distance from eq. 4."""
     degree = summary["degree"]
     fit = summary["degrees"].get(str(degree))
     if fit is not None:
@@ -93,7 +93,7 @@ def _degree_table(summary: SweepSummary) -> Table:
 
 
 def assumptions(_: object) -> tuple[str, ...]:
-    """What has to hold for the curve of another joint."""
+    """Assumptions for using the curve."""
     return (
         "The simulated bench is a two-mass drive whose only play is one gap.",
         "The joint has the bench's parameters, within any tolerances.",
@@ -102,7 +102,7 @@ def assumptions(_: object) -> tuple[str, ...]:
 
 
 def advice(_: SweepSummary) -> Advice:
-    """What the curve of a sweep is for."""
+    """How to use the curve."""
     return Advice(
         "note",
         "Use this curve for recordings of this joint.",

@@ -1,11 +1,8 @@
-"""Prints on the terminal: plain text, never wider than it, and the progress of a run.
+"""Print plain text on the terminal, never wider than it, and show the progress of a run.
 
-Names and messages may hold what a stranger wrote into a file. Characters that steer a terminal are
-therefore dropped from all that is printed.
-
-rich is imported where it prints, so that ``bayesbl --help`` does not wait for it. Everything is
-printed as plain :class:`rich.text.Text`: names and messages may hold brackets, which rich would
-take for markup.
+Names and messages may come from a stranger's file, so characters that steer a terminal are removed
+from everything printed. Texts are printed as :class:`rich.text.Text`, because brackets in names
+would be taken for markup. rich is imported only to print, so that ``bayesbl --help`` is fast.
 """
 
 from __future__ import annotations
@@ -38,17 +35,17 @@ _STYLES = {
 }
 
 _BETWEEN = 2
-"""What a table takes between two columns."""
+"""Space between two columns of a table."""
 
 _NARROWEST_NAME = 12
-"""To which the first column of a table may be folded."""
+"""Width to which the first column of a table may be folded."""
 
 _INDENT = "  "
 
 _GLUE = "\N{NO-BREAK SPACE}"
 
 STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-"""Characters that steer a terminal, and those that turn the direction of writing."""
+"""Characters that steer a terminal or change the direction of writing."""
 
 
 def plain(text: str) -> str:
@@ -57,7 +54,7 @@ def plain(text: str) -> str:
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print a line as it is, on standard output or error."""
+    """Print a line unchanged on standard output or error."""
     print(plain(text), file=sys.stderr if err else sys.stdout)
 
 
@@ -69,7 +66,7 @@ def replace_what_cannot_be_printed() -> None:
 
 
 def make_console(*, stderr: bool = False, file: TextIO | None = None) -> Console:
-    """A console that prints what it is given, in colour on a terminal only; or into a file."""
+    """A console for plain texts, in colour only on a terminal; or into a file."""
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
 
@@ -85,7 +82,7 @@ def make_console(*, stderr: bool = False, file: TextIO | None = None) -> Console
 
 
 def error(console: Console, problem: UserError) -> None:
-    """One message, never wrapped: paths in it can be copied, and scripts can search it."""
+    """Print an error unwrapped, so that paths can be copied and scripts can search it."""
     from rich.text import Text
 
     text = Text("Error: ", style="bold red")
@@ -95,7 +92,7 @@ def error(console: Console, problem: UserError) -> None:
 
 
 def print_blocks(blocks: Iterable[Block], console: Console) -> None:
-    """Headings after an empty line, sentences broken between words, tables between empty lines."""
+    """Print headings after an empty line, wrapped sentences, and tables between empty lines."""
     is_below_table = False
     for block in blocks:
         if is_below_table or not isinstance(block, Sentence):
@@ -113,7 +110,7 @@ def print_blocks(blocks: Iterable[Block], console: Console) -> None:
 
 
 def print_table(table: Table, console: Console) -> None:
-    """One line a row where the terminal is wide enough, else one block a row; all values whole."""
+    """Print a row on one line if the terminal is wide enough, else as a block."""
     columns = list(zip(*([c.title for c in table.columns], *table.rows), strict=True))
     name, *others = (max(map(len, "\n".join(column).splitlines())) for column in columns)
     if min(name, _NARROWEST_NAME) + sum(others) + _BETWEEN * len(others) <= console.width:
@@ -123,14 +120,14 @@ def print_table(table: Table, console: Console) -> None:
 
 
 def filled(pairs: Sequence[str], width: int) -> list[str]:
-    """Pairs set side by side with commas, broken between them alone."""
+    """Pairs with commas, wrapped only between pairs."""
     whole = ", ".join(pair.replace(" ", _GLUE) for pair in pairs)
     lines = textwrap.wrap(whole, width, break_on_hyphens=False, break_long_words=False)
     return [line.replace(_GLUE, " ") for line in lines]
 
 
 def wrapped(sentence: str, width: int) -> str:
-    """Broken into lines of ``width``, but never between a number and its sign or unit."""
+    """A sentence wrapped to ``width``, but not between a number and its sign or unit."""
     lines = textwrap.wrap(glued(sentence), width, break_on_hyphens=False)
     return "\n".join(lines).replace(_GLUE, " ")
 
@@ -174,21 +171,19 @@ def _print_row_by_row(table: Table, console: Console) -> None:
 
 
 SILENT_S = 2.0
-"""Longest silence in a pipe at first."""
+"""Longest initial silence in a log."""
 
 SILENT_SHARE = 0.1
-"""Of the time since the begin, that a silence grows to: a line more for each tenth that it lasts
-longer, so that the log of a day has a hundred lines."""
+"""Share of the elapsed time to which a silence grows, so that a day's log has a hundred lines."""
 
 
 @contextmanager
 def progress(console: Console) -> Iterator[StageProgress]:
-    """Shown on ``console`` (standard error's) until the block ends.
+    """Show progress on ``console`` (standard error) until the block ends.
 
-    Yields what a run calls with what it does and how many steps are done of how many: a stage,
-    which may end before the last one, or a row's cases. On a terminal it is a bar. In a log, what
-    is being done and since when is said again before a silence becomes long: from a thread, as
-    imports, compilation and a single long step report nothing themselves.
+    Yields the function to call with a stage, its steps done and their number. On a terminal it
+    shows a bar. In a log, a thread repeats stage and elapsed time before a silence gets long,
+    because imports, compilation and single long steps report nothing themselves.
     """
     # Rich takes a pipe for a terminal where FORCE_COLOR asks for colours, as notebooks do.
     if console.file.isatty():

@@ -1,4 +1,4 @@
-"""What a change of the gap means: could it be something else, and how fast does the joint wear?"""
+"""What a change of the gap means: other possible causes, and how fast the joint wears."""
 
 from __future__ import annotations
 
@@ -23,14 +23,13 @@ if TYPE_CHECKING:
 
 
 MOST_TOLD = 3
-"""Blind spots that are told; all are stored."""
+"""Largest number of blind spots printed; all are stored."""
 
 
 def other_cause(summary: ComparisonSummary) -> str | None:
-    """A change of the joint that could be all there is, and why it is not told from wear.
+    """An undetectable change of the joint that could explain the whole change of δ.
 
-    ``None`` where the change of δ is withheld or holds zero, or is larger than any such change
-    would make it.
+    ``None`` if the change of δ is withheld, may be zero, or is larger than any such change.
     """
     spots = summary["same_joint"]["blind_spots"]
     ends = _change_ends_rad(summary) if spots else None
@@ -42,7 +41,7 @@ def other_cause(summary: ComparisonSummary) -> str | None:
 
 
 def unless(summary: ComparisonSummary) -> str:
-    """The condition behind a probability of growth, where it could be something else."""
+    """The condition on a probability of growth, if something else may have changed."""
     if other_cause(summary) is not None:
         return ", if nothing else in the joint changed"
     if (unseen := unseen_without_current(summary)) is not None:
@@ -55,14 +54,14 @@ def unless(summary: ComparisonSummary) -> str:
 
 
 def unseen_without_current(summary: ComparisonSummary) -> str | None:
-    """What may have changed by any size, where no motor current shows it; ``None`` elsewhere."""
+    """What may have changed undetected without a motor current; otherwise ``None``."""
     spots = summary["same_joint"]["blind_spots"]
     unseen = any(spot["code"] == "gains_unseen" for spot in spots)
     return UNSEEN_WITHOUT_CURRENT if unseen else None
 
 
 def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:
-    """Of the change of δ; of its medians since the repair, where there was one."""
+    """Ends of the interval of the change of δ; since a repair, the change of the medians."""
     wear, parts = summary["wear"], summary["snapshots"]
     if wear is not None and len(wear["snapshots"]) < len(parts):
         first, last = (
@@ -77,9 +76,9 @@ def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:
 
 
 def check_blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Block]:
-    """A warning for every finding, then what none of the checks can see.
+    """A warning for every finding, then the changes that no check can detect.
 
-    ``codes``: why the answer is withheld, which may have said it.
+    ``codes``: why the answer is withheld, which may repeat a finding.
     """
     if summary["kind"] == "compare":
         checks = [(snapshot["name"], snapshot["model_check"]) for snapshot in summary["snapshots"]]
@@ -126,9 +125,9 @@ _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 def blocks(
     summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary, *, is_told: bool = False
 ) -> Iterator[Block]:
-    """Sentences and table of ``wear`` of a summary of a dated comparison.
+    """Sentences and table of the wear of a dated comparison.
 
-    ``is_told``: why there is no rate has been said.
+    ``is_told``: the reason for a missing rate was printed before.
     """
     if spans_repair(summary, wear):
         yield Sentence(
@@ -145,18 +144,18 @@ def blocks(
 
 
 def with_rate(summary: ComparisonSummary) -> WearSummary | None:
-    """The wear, where a summary says how fast the gap grows."""
+    """The wear, if a summary has a rate."""
     wear = summary["wear"]
     return None if wear is None or wear["reason"] is not None else wear
 
 
 def spans_repair(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) -> bool:
-    """Whether a repair lies between the first and the last of dated snapshots."""
+    """Whether there was a repair between the first and the last snapshot."""
     return len(wear["snapshots"]) < len(summary["snapshots"])
 
 
 def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
-    """How large the gap is now and how fast it grows: the answer of dated snapshots."""
+    """How large the gap is now, and how fast it grows."""
     last = summary["snapshots"][-1]
     gap, upper_rad = last["delta_rad"], last["delta_upper_bound_rad"]
     now = "" if gap is None else f"is {words.middle(gap, 1e3)} mrad now and "
@@ -181,14 +180,14 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
 
 
 def month(value: str | None) -> str:
-    """``Nov 2026`` of an ISO date: a forecast is never known to the day."""
+    """``Nov 2026`` for an ISO date: a forecast is never known to the day."""
     return day(value) if value is None else date.fromisoformat(value).strftime("%b %Y")
 
 
 def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
-    """The answer to how fast, until when, and whether before the date asked for.
+    """How fast the joint wears, until when, and whether before the date asked for.
 
-    ``unless``: on what condition, if the growth could be something else.
+    ``unless``: condition on the growth, if it may have another cause.
     """
     from bayesbl.measurement.wear import LONGEST_YEARS
 
@@ -229,13 +228,13 @@ def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
 
 
 def not_before(wear: WearSummary) -> str | None:
-    """The date to plan by; ``None`` where it is too far ahead to be given, or without a limit."""
+    """The date to plan by; ``None`` if it is too far ahead, or without a limit."""
     bound = wear["not_before"]
     return None if bound is None else bound["date"]
 
 
 def notes(wear: WearSummary) -> Iterator[str]:
-    """The model, what so few snapshots cannot show, and what drift was allowed for."""
+    """The model, what few snapshots cannot show, and the drift that is allowed for."""
     from bayesbl.measurement.wear import FEWEST_FOR_SCATTER
 
     yield MODEL
@@ -300,5 +299,5 @@ def _cell(value: float) -> str:
 
 
 def day(value: str | None) -> str:
-    """An ISO date, or that it is too far ahead to be given."""
+    """An ISO date, or that it is too far ahead."""
     return "far ahead" if value is None else value

@@ -1,6 +1,6 @@
-"""Numbers, probabilities and intervals in words: plain strings, no terminal.
+"""Numbers, probabilities and intervals in words.
 
-Angles are given in mrad, probabilities never as certain: a finite number of draws cannot show that.
+Angles are in mrad. Probabilities are never certain, because finitely many draws cannot show that.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 RAREST = 1e-3
-"""Probabilities closer than this to 0 or 1 are beyond what some thousand draws can show."""
+"""Thousands of draws cannot show probabilities closer to 0 or 1."""
 
 SURE = 0.95
-"""Probability from which something counts as shown; below 1 minus this its opposite does."""
+"""Probability from which something counts as shown; below 1 minus this, its opposite does."""
 
 _SOURCES = {
     "noise": "noise of the recording",
@@ -60,13 +60,13 @@ def bounds(interval: Interval, scale: float = 1.0, places: int | None = None) ->
 
 
 def interval_kind(interval: Interval) -> str:
-    """``90 % interval``, or ``90 % HDI`` of the highest density."""
+    """``90 % interval``, or ``90 % HDI`` for the highest density."""
     kind = "HDI" if interval["kind"] == "hdi" else "interval"
     return f"{100.0 * interval['level']:g} % {kind}"
 
 
 def middle(interval: Interval, scale: float = 1.0) -> str:
-    """The median, with as many digits as the interval bears."""
+    """The median, with as many digits as the interval justifies."""
     return number(scale * interval["median"], decimals(interval, scale))
 
 
@@ -77,7 +77,7 @@ def with_bounds(interval: Interval, unit: str, scale: float = 1.0) -> str:
 
 
 def with_ends(interval: Interval) -> str:
-    """``0.0052 (0.00054 to 0.020)``: two digits each, for a value that may be near zero."""
+    """``0.0052 (0.00054 to 0.020)``: two digits each, for values near zero."""
     low, middle, high = (significant(interval[key]) for key in ("low", "median", "high"))
     return f"{middle} ({low} to {high})"
 
@@ -88,7 +88,7 @@ def in_mrad(interval: Interval) -> str:
 
 
 def change_of(what: str, change: Interval, unit: str, scale: float) -> str:
-    """Whether it grew, shrank, or may have done neither, and by how much."""
+    """Whether a quantity grew, shrank, or may have done neither, and by how much."""
     if change["low"] > 0.0:
         return f"{what} grew by {with_bounds(change, unit, scale)}"
     if change["high"] < 0.0:
@@ -97,7 +97,7 @@ def change_of(what: str, change: Interval, unit: str, scale: float) -> str:
 
 
 def gap_cells(gap: Interval | None, upper_rad: float | None = None) -> tuple[str, str]:
-    """A gap and its bounds in mrad, or its upper bound, as a table has them."""
+    """A gap and its bounds in mrad, or its upper bound, as table cells."""
     if upper_rad is not None:
         return f"below {significant(1e3 * upper_rad)}", "95 %"
     if gap is None:
@@ -106,17 +106,17 @@ def gap_cells(gap: Interval | None, upper_rad: float | None = None) -> tuple[str
 
 
 def of(*names: str) -> str:
-    """Whose, as part of a sentence; nothing for a fit's only snapshot."""
+    """`` of NAME``; empty for the only snapshot of a fit."""
     return f" of {', '.join(names)}" if any(names) else ""
 
 
 def capitalised(sentence: str) -> str:
-    """With a capital letter at its begin."""
+    """The sentence with a capital first letter."""
     return sentence[0].upper() + sentence[1:]
 
 
 def significant(value: float, digits: int = 2) -> str:
-    """``0.15``, ``32``, ``0.0007``: so many significant digits, never in powers of ten."""
+    """``0.15``, ``32``, ``0.0007``: significant digits, never powers of ten."""
     rounded = float(f"{value:.{digits - 1}e}")
     if rounded == 0.0:
         return "0"
@@ -124,12 +124,12 @@ def significant(value: float, digits: int = 2) -> str:
 
 
 def percent(value: float) -> str:
-    """A relative size with two significant digits, ``0.15 %``."""
+    """A share with two significant digits, ``0.15 %``."""
     return f"{significant(100.0 * value)} %"
 
 
 def source_in_words(source: str) -> str:
-    """A source of the interval's width as a reader knows it."""
+    """A source of the interval's width in words."""
     return _SOURCES.get(source, source.replace("_", " "))
 
 
@@ -142,18 +142,18 @@ ROUTES = {
 
 
 def route_in_words(route: str) -> str:
-    """What a route goes by."""
+    """A route in words."""
     return ROUTES.get(route, route.replace("_", " "))
 
 
 def curve_name(curve: str) -> str:
-    """What a reader calls a gap curve: ``published``, or the folder of the sweep that made it."""
+    """Name of a gap curve: ``published``, or the folder of its sweep."""
     path = PureWindowsPath(curve)  # which takes both slashes
     return path.parent.name if path.name == "result.nc" and path.parent.name else path.name
 
 
 def sampling(part: RouteSummary) -> str:
-    """Convergence in one line."""
+    """Convergence of the sampling in one line."""
     diagnostics = part["diagnostics"]
     return (
         f"{diagnostics['outcome']}, largest R̂ {diagnostics['r_hat']:.3f}, "
@@ -162,14 +162,14 @@ def sampling(part: RouteSummary) -> str:
 
 
 def glued(sentence: str) -> str:
-    """With no-break spaces between a number and its sign or unit."""
+    """The sentence with no-break spaces between a number and its sign or unit."""
     before_unit = r"(?<=\d) (?=%|mrad|rpm|rad|(?:A|Hz|m|mm|ms|s)\b|N m|kg m)"
     within = r"(?<=[<>]) (?=\d)|(?<=\d N) (?=m)|(?<=\d kg) (?=m)"
     return re.sub(f"{before_unit}|{within}", "\N{NO-BREAK SPACE}", sentence)
 
 
 def limit(delta_rad: float, text: str | None) -> str:
-    """A limit of δ, and as it was given: ``1.16 mrad (8 arcmin of play)``."""
+    """A limit of δ, and as it was stated: ``1.16 mrad (8 arcmin of play)``."""
     in_mrad = f"{1e3 * delta_rad:.4g} mrad"
     if text is None or text.endswith("mrad delta"):
         return in_mrad

@@ -1,21 +1,21 @@
-"""Text as a table of numbers: what is no sample is left out and counted, what is one is read whole.
+"""Text as a table of numbers: samples are read whole, all other lines are left out and counted.
 
-The policy, for every dialect alike:
+These rules hold for every dialect:
 
-* the separator is the one that cuts the middle of the file into equal rows of numbers;
-* names are the last line above the samples with a name for each cell, units a line of units below,
-  or one above that begins with the word; a line may state the time from sample to sample;
-* columns with times of their own, in front of them, become rows at the stamps of any of them;
-* lines that are no samples (comments, repeated headers, text, a cut last line) are left out; so are
-  incomplete lines, as lost samples, up to :data:`MOST_INCOMPLETE` of all;
-* one decimal mark holds for the whole file, and thousands are grouped in threes by another mark;
+* the separator is the one that splits the middle of the file into equal rows of numbers;
+* names are the last line above the samples with a name for each cell; units are a line of units
+  below it, or a line above that begins with the word; a line may state the time between samples;
+* columns behind times of their own become rows at the stamps of any of these times;
+* comments, repeated headers, other text and a cut last line are left out; so are incomplete lines,
+  as lost samples, up to :data:`MOST_INCOMPLETE` of all;
+* the whole file has one decimal mark, and may group thousands with another mark;
 * everything else is refused with its line and column.
 
-The text is gone through once, in blocks of lines, so that memory is that of the file and its
-numbers; a block of nothing but numbers is read by NumPy.
+The text is read once, in blocks of lines, so memory is that of the file and its numbers. NumPy
+reads blocks of numbers only.
 
-A log of events has one value a line, its name and its stamp, as EPICS's camonitor writes it, on
-change: a value holds until the next one of its name.
+A log of events has one value on each line, with its name and stamp, written on change, as by
+EPICS's camonitor. A value holds until the next one of its name.
 
 ::
 
@@ -60,8 +60,8 @@ _SEPARATORS = ("\t", ";", ",", "|", " ")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
 _NUMBERED = re.compile(r" \(\d+\)$")
 _OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]+$')
-"""A cell that begins with a quotation mark and does not end; inside a cell, as in ["], it is text.
-"""
+"""A cell that begins with a quotation mark and does not end; inside a cell, as in ["], it is
+text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
@@ -427,7 +427,7 @@ def _of_other_width(file: Path, index: int, cells: int, expected: int) -> Record
 
 
 def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTable:
-    """The error for a text without a table. Nothing is quoted, because a name may lead to any file."""
+    """The error for a text without a table; it quotes nothing, as a name may lead to any file."""
     if is_binary:
         actual = "binary data"
     elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
@@ -613,8 +613,8 @@ _VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
 _KEY = re.compile(r"tag|name|signal|variable|field|joint|axis|achse|motor_?id|node", re.IGNORECASE)
 _MOST_NAMES = 64
 TIMES = 13.0
-"""Memory, as a multiple of the file's size, for a log or Scope export whose cells are texts first.
-"""
+"""Memory, as a multiple of the file's size, for a log or Scope export whose cells are texts
+first."""
 
 _LONGEST_EVENT = 1000
 _ALIKE = 0.8
@@ -635,7 +635,7 @@ _PAIR = re.compile(
 
 
 def in_cells(file: Path, text: bytes, head: Sequence[str]) -> ArrayTable | None:
-    """A text whose lines name their values, as a table: of events, or of pairs of name and value.
+    """A text whose lines name their values as a table: of events, or of pairs of name and value.
 
     ::
 
@@ -678,8 +678,8 @@ def _row(form: re.Pattern[str] | None, line: str) -> dict[str, str]:
 
 
 def in_columns(table: ArrayTable) -> ArrayTable:
-    """A column for each name, of a table with a value a line, as historians and InfluxDB write it,
-    or with a line for each joint.
+    """Columns by name, from a table with one value on each line (historians, InfluxDB) or one line
+    for each joint.
 
     ::
 

@@ -29,10 +29,7 @@ IDENTIFIED = Group(
 
 
 def require_gap(bench: Bench, file: str | Path) -> None:
-    """Refuse a rigid bench.
-
-    Raises ConfigError if the bench is rigid.
-    """
+    """Refuse a rigid bench with a ConfigError."""
     if bench.drive == "rigid":
         raise ConfigError(
             "A rigid bench has no gap.",

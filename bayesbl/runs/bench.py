@@ -1,4 +1,4 @@
-"""A bench file; it is simulated on, not run; only what it is can be said, and what looks wrong."""
+"""``kind = "bench"``: describe a bench file and what looks wrong in it; it cannot be run."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from bayesbl.units import STANDARD_GRAVITY
 USUAL_FREQUENCY_HZ = (2.0, 100.0)
 USUAL_INERTIA_RATIO = (0.05, 50.0)
 USUAL_PENDULUM_M = (0.05, 3.0)
-"""Of robot joints, small arms to heavy ones; beyond them a unit is more probably wrong."""
+"""Usual for robot joints, from small arms to heavy ones; beyond, a unit is probably wrong."""
 
 
 def describe(path: Path, plan: Plan) -> None:
-    """Which virtual bench the file holds, and what of it looks wrong."""
+    """Describe the virtual bench of a file, and what looks wrong in it."""
     bench = load_bench(path)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
     if bench.drive == "two_mass":
@@ -33,7 +33,7 @@ def describe(path: Path, plan: Plan) -> None:
 
 
 def _look_at(bench: Bench, plan: Plan) -> None:
-    """What follows from the values together, and what of it is not that of a robot joint."""
+    """Add derived quantities, and a warning for each that is unusual for a robot joint."""
     values = {name: parameter.value for name, parameter in bench.parameters.items()}
     stiffness, gravity_nm = values["shaft_stiffness_nm_per_rad"], values["gravity_torque_nm"]
     frequency_hz = math.sqrt(stiffness / reduced_inertia_kg_m2(values)) / (2.0 * math.pi)

@@ -1,9 +1,9 @@
-"""Independent jobs over processes of this machine, or on a Dask cluster that is already there.
+"""Run independent jobs in processes of this machine, or on an existing Dask cluster.
 
-The numbers are the same. So every worker of a cluster must run the same code on the same files, its
-linear algebra on one thread; a worker that differs refuses, whenever it joins. In a worker process
-one job runs at a time whatever its threads, as jobs need not be safe against each other. A job
-whose worker dies is run again by another.
+The numbers are the same. So each worker of a cluster must have the same code and files, and one
+thread of linear algebra; a worker that differs refuses, whenever it joins. A worker process runs
+one job at a time whatever its threads, because jobs need not be thread-safe. If a worker dies,
+another one runs its job again.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class InWords(Protocol):
 
     @property
     def in_words(self) -> str:
-        """Which job it is."""
+        """The job's name."""
 
 
 J = TypeVar("J", bound=InWords)
@@ -49,11 +49,12 @@ R = TypeVar("R")
 
 
 Facts = tuple[tuple[str, str], ...]
-"""What numbers depend on beside the jobs, by name."""
+"""What numbers depend on besides the jobs, by name."""
 
 
 def facts(files: Iterable[str]) -> Facts:
-    """Of this process: versions, the package's code, threads of linear algebra, files' content."""
+    """Versions, the package's code, threads of linear algebra, and the files' content in this
+    process."""
     threads = os.environ.get(_LINEAR_ALGEBRA[0], "not set")
     return (
         *code_versions().items(),
@@ -71,7 +72,7 @@ def _content(file: str) -> str:
 
 
 def differences(wanted: Facts, files: Sequence[str]) -> list[str]:
-    """What is otherwise in this process, which is a worker's, in words."""
+    """How this process, a worker, differs from these facts, in words."""
     own = dict(facts(files))
     return [f"{name} {own.get(name)} in place of {v}" for name, v in wanted if own.get(name) != v]
 
@@ -84,15 +85,13 @@ def run_jobs(
     say: Callable[[str], None],
     what: str,
 ) -> Iterator[tuple[J, R]]:
-    """Run jobs where ``[run]`` says; yields them as they end, in any order, and holds none longer.
+    """Run jobs as ``[run]`` says, and yield them as they end, in any order, holding none longer.
 
-    One worker is a process of its own too: linear algebra on one thread rounds differently than on
-    many, and the numbers must not depend on the workers.
-
-    ``run``: a function of a module, or a ``partial`` of one. ``files``: that every job reads, to be
-    the same for all workers of a cluster. ``what``: the jobs, in a sentence. Raises WorkerError if
-    a process dies, and ClusterError if the scheduler does not answer or is lost, a worker differs,
-    or a job kills all that run it.
+    A single worker is also a process of its own, because linear algebra rounds differently on
+    several threads. ``run`` is a function of a module or a ``partial`` of one; ``files`` are read
+    by every job and must be the same for all workers; ``what`` names the jobs. Raises WorkerError
+    if a process dies, and ClusterError if the scheduler does not answer or is lost, a worker
+    differs, or a job kills all of its workers.
     """
     if where.scheduler is not None:
         yield from _on_cluster(run, jobs, files, where.scheduler, say, what)
@@ -159,7 +158,7 @@ def _on_cluster(
 
 
 def _run(wanted: Facts, files: tuple[str, ...], run: Callable[[J], R], job: J) -> R:
-    """A job, in a worker."""
+    """Run a job in a worker."""
     with _one_job:
         _require_here(wanted, files)
         return run(job)
@@ -167,7 +166,8 @@ def _run(wanted: Facts, files: tuple[str, ...], run: Callable[[J], R], job: J) -
 
 @cache
 def _require_here(wanted: Facts, files: tuple[str, ...]) -> None:
-    """This worker differs in nothing, asked again as workers may join later."""
+    """Require that this worker differs in nothing; each checks itself, as workers may join
+    later."""
     from distributed import get_worker
 
     different = differences(wanted, files)
@@ -206,7 +206,7 @@ def _connected(scheduler: str) -> Iterator[Client]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Dask logs a traceback for what is then raised as a sentence."""
+    """Silence Dask's tracebacks for errors that are raised as sentences."""
     log = logging.getLogger("distributed.client")
     before = log.level
     log.setLevel(logging.CRITICAL)
@@ -217,7 +217,7 @@ def _quiet() -> Iterator[None]:
 
 
 async def _kind_at(address: str) -> str:
-    """What of Dask answers at an address: a client would wait for ever for what is not Dask."""
+    """What of Dask answers at an address; a client would wait forever for anything else."""
     from distributed.core import rpc
     from distributed.security import Security
 

@@ -1,7 +1,7 @@
-"""``bayesbl collect``: what ``watch`` publishes, as rows of one table, each answer once.
+"""``bayesbl collect``: collect what ``watch`` publishes into one table, each answer once.
 
-When its row is on the disk, a message is acknowledged: a cut at any moment loses nothing, and what
-then comes twice is one row. Of a message that cannot be used the reason is said.
+A message is acknowledged when its row is on disk. So a power cut loses nothing, and a message that
+comes twice is one row. A message that cannot be used is reported with the reason.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
 
 IDLE_S = 5.0
-"""Without a message, after which nothing more is waited for (``--once``)."""
+"""Silence after which ``--once`` ends."""
 
 CONNECTED_WITHIN_S = 10.0
 
 _HEAD_BYTES = 4_000
-"""Of a packet, beside its message."""
+"""Size of a packet besides its message."""
 
 _POLL_S = 0.1
 
@@ -50,11 +50,11 @@ def collect(
     *,
     once: bool = False,
 ) -> None:
-    """Store what the broker brings, until interrupted or, ``once``, until nothing more comes.
+    """Store answers from the broker until interrupted or, with ``once``, until no more come.
 
-    ``tell``: called with each new row. Raises UserError if the output folder or the credentials
-    cannot be used; once, also if the broker cannot be reached, or does not let us in, and OSError
-    if nothing can be written: what was not stored is not acknowledged.
+    ``tell`` is called with each new row. Raises UserError if the output folder or the credentials
+    cannot be used; with ``once``, also if the broker cannot be reached or refuses. Raises OSError
+    if nothing can be written: what is not stored is not acknowledged.
     """
     with RecordingTable.opened(output) as table:
         name = stays_known_by(table.beside)
@@ -79,7 +79,7 @@ def collect(
 
 @dataclass(slots=True)
 class _Collecting:
-    """What paho's thread calls, which connects again by itself where that is needed."""
+    """Callbacks for paho's thread, which reconnects by itself."""
 
     address: Address
     table: RecordingTable
@@ -92,21 +92,21 @@ class _Collecting:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more is waited for."""
+        """Whether nothing more is expected."""
         is_idle = time.monotonic() - self.last > IDLE_S
         return self.problem is not None or (self.once and is_idle)
 
     def on_connect(
         self, client: Client, data: object, flags: object, reason: Any, more: object
     ) -> None:
-        """Ask for the topic and those below it, as the session may have done before."""
+        """Subscribe to the topic and those below it, even if the session already had."""
         if reason.is_failure:
             self._refused(reason)
         else:
             client.subscribe(f"{self.address.topic}/#", qos=1)
 
     def on_connect_fail(self, client: Client, data: object) -> None:
-        """Say that there is no connection."""
+        """Report that there is no connection."""
         reason = unreachable(self.address, sys.exception())
         self.say(f"{reason} It is tried again.")
         if self.once:
@@ -115,7 +115,7 @@ class _Collecting:
     def on_subscribe(
         self, client: Client, data: object, mid: int, reasons: list[Any], more: object
     ) -> None:
-        """Say that answers can come."""
+        """Report that answers can arrive."""
         if reasons[0].is_failure:
             self._refused(reasons[0])
         else:
@@ -123,7 +123,7 @@ class _Collecting:
             self.say(f"Waiting for answers from {self.address.in_words}.")
 
     def on_message(self, client: Client, data: object, message: MQTTMessage) -> None:
-        """First on the disk, then acknowledged."""
+        """Write the answer to disk, then acknowledge it."""
         if self.problem is not None:
             return
         payload, row = bytes(message.payload), None

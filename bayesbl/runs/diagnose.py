@@ -1,6 +1,6 @@
-"""Recordings and the bench believed behind them in; what is missing, and the model error, out.
+"""``kind = "diagnose"``: find what a bench lacks, from recordings.
 
-How recordings are compared is guessed where no file says it, each choice with its reason.
+Without a configuration, the way to compare them is guessed, each choice with its reason.
 """
 
 from __future__ import annotations
@@ -57,15 +57,13 @@ METHODS: Mapping[Method, Callable[[Task], Comparison]] = MappingProxyType(
         "free_motion": free_motion.comparison,
     }
 )
-"""By their names in ``[comparison] method``. Each refuses bench, recordings or unknowns that do not
-suit it (``UserError``)."""
+"""Comparisons by ``[comparison] method``. Each refuses an unsuitable bench, recording or unknown
+(``UserError``)."""
 
 
 def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Diagnose as configured; nothing is written but finished work.
-
-    Raises UserError if bench or recordings cannot be used for this comparison.
-    """
+    """Diagnose as configured. Raises UserError if bench or recordings cannot be compared this
+    way."""
     task = task_of(config)
     diagnosis = work.get(
         "diagnosis",
@@ -79,13 +77,13 @@ def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTr
 
 
 def describe(config: DiagnoseConfig, plan: Plan) -> None:
-    """What would be compared, without comparing it."""
+    """What would be compared."""
     method = METHODS[config.comparison.method]
     plan.add("comparison", lambda: method(task_of(config)).in_words)
 
 
 def task_of(config: DiagnoseConfig) -> Task:
-    """Bench and recordings, read and long enough to be compared."""
+    """Bench and recordings, read, and long enough to be compared."""
     return Task(config, bench_from(config.bench), tuple(_recordings(config)))
 
 
@@ -106,24 +104,24 @@ def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:
 
 
 FEWEST_SETTINGS = 3
-"""Directions and speeds to fit on: Coulomb friction, viscous friction and an offset of the torque
-take three."""
+"""Directions and speeds to fit on: Coulomb friction, viscous friction and a torque offset take
+three."""
 
 SAME_SPEED = 0.01
-"""Relative: recordings nearer than this are of one speed."""
+"""Relative difference within which recordings have the same speed."""
 
 FITTED = "effects are fitted on it"
 
 SPLIT_ROTATIONS = 4.0
-"""Of the load, in a recording in the closed loop that is split: two in each half."""
+"""Rotations of the load in a recording that is split: two in each half."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A value that was guessed for a field, and why.
+    """A guessed value and its reason.
 
-    ``place``: the section and the key; for an entry of ``[[recordings]]`` the recording's name
-    and the key.
+    ``place``: section and key; for an entry of ``[[recordings]]``, the recording's name and the
+    key.
     """
 
     place: tuple[str, str]
@@ -141,10 +139,10 @@ class Choice:
 def guess_diagnosis(
     bench: Bench, recordings: Sequence[Recording], given: DiagnoseConfig | None = None
 ) -> list[Choice]:
-    """Method, channels, unknowns, and what each recording is for.
+    """Choose method, channels, unknowns, and the use of each recording.
 
-    ``given``: a configuration that says some of it already; the rest follows from that. Raises
-    RecordingError if no method suits these recordings and this bench.
+    ``given`` is a configuration that states some of them; the rest follows from it. Raises
+    RecordingError if no method suits the recordings and the bench.
     """
     compared = Compared() if given is None else given.comparison
     said = compared.model_fields_set | (given.unknowns.model_fields_set if given else set())
@@ -175,7 +173,7 @@ def guess_diagnosis(
 
 
 def completed(config: DiagnoseConfig, guess: Sequence[Choice]) -> DiagnoseConfig:
-    """A configuration with what was guessed, but for what it gives itself."""
+    """The configuration with these choices."""
     sections = {name: getattr(config, name) for name in ("comparison", "unknowns")}
     entries = {entry.name: entry for entry in config.recordings}
     for choice in guess:
@@ -186,17 +184,14 @@ def completed(config: DiagnoseConfig, guess: Sequence[Choice]) -> DiagnoseConfig
 
 
 def toml(value: object) -> str:
-    """A value as TOML has it."""
+    """A value in TOML."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(toml, value))}]"
     return json.dumps(value, ensure_ascii=False)
 
 
 def _with_speed(recording: Recording) -> Recording:
-    """The recording with the motor's speed, or that of its position.
-
-    Raises RecordingError if there is neither speed nor position.
-    """
+    """The recording with the motor's speed. Raises RecordingError without speed and position."""
     completed = with_speed(recording)
     if MOTOR_SPEED not in completed.channels:
         raise RecordingError(
@@ -210,7 +205,7 @@ def _with_speed(recording: Recording) -> Recording:
 
 
 def _everywhere(recordings: Sequence[Recording], channels: Sequence[str]) -> list[str]:
-    """Channels that every recording holds; a flag or a dead channel is none."""
+    """Channels that every recording holds and that vary."""
     return [
         channel
         for channel in channels
@@ -310,7 +305,7 @@ def _uses(
     steady: bool,
     speeds: Sequence[float],
 ) -> list[tuple[str, str]]:
-    """What each recording is for, with the reason."""
+    """The use of each recording, with the reason."""
     count = len(recordings)
     halves = ("split", "its first half is fitted on, and its second predicted")
     if not steady:
@@ -337,9 +332,9 @@ def _uses(
 
 
 def _spare(speeds: Sequence[float]) -> int | None:
-    """The recording without which the others still tell friction's laws apart; rather one between.
+    """The recording that can be held out, best one of medium speed; ``None`` if all are needed.
 
-    The others must hold every direction and enough speeds, or all speeds that there are.
+    The others must cover the directions, and enough speeds to separate the laws of friction.
     """
     # A number for each recording, the same for those of one speed and direction.
     settings = [
@@ -367,12 +362,11 @@ def _spare(speeds: Sequence[float]) -> int | None:
 def diagnosis_of(
     recordings: Sequence[str | Path], config: str | Path | None = None, **options: object
 ) -> tuple[DiagnoseConfig, list[Choice]]:
-    """The configuration that recordings and options make, and what of it was guessed.
+    """The configuration from recordings and options, and the choices that were guessed.
 
-    ``config``: a configuration to start from: of a diagnosis, or of a measurement with its columns.
-    ``options``: as :func:`bayesbl.config.loading.config_from_options` takes them, ``bench`` among
-    them. Raises UserError if anything given cannot be used, or no method suits recordings and
-    bench.
+    ``config`` is a configuration to start from, of a diagnosis or of a measurement with its
+    columns; ``options`` are those of :func:`bayesbl.config.loading.config_from_options`, with
+    ``bench``. Raises UserError if anything cannot be used, or no method suits.
     """
     made = cast(DiagnoseConfig, config_from_options("diagnose", recordings, config, (), **options))
     read = [

@@ -1,4 +1,4 @@
-"""A measured joint for simulators: a model of MuJoCo, and a table of its draws."""
+"""Write a measured joint for simulators: a MuJoCo model, and a table of its draws."""
 
 from __future__ import annotations
 
@@ -34,16 +34,14 @@ def export(
     *,
     force: bool = False,
 ) -> list[Path]:
-    """Write ``SNAPSHOT.xml`` and ``SNAPSHOT.csv`` of every snapshot whose gap is reported.
+    """Write ``SNAPSHOT.xml`` and ``SNAPSHOT.csv`` for every snapshot with a reported gap; return
+    the files.
 
-    The model has the medians. The table has a row for each draw: gap and bench parameters, those
-    that the recordings told as they were drawn together, the others as the bench has them.
-
-    ``result``: of a fit or a comparison. ``bench``: the bench that it was measured with; ``None``
-    for that of the stored configuration. ``folder``: ``None`` for one beside the result's,
-    ``RESULT_export``. ``force``: replace files that exist. Returns the files written. Raises
-    ResultError if the result has no gap, is of another bench, or a file exists, and ConfigError if
-    the bench cannot be used.
+    The model has the medians. The table has a row for each draw, with gap and bench parameters;
+    those that the recordings do not show are as in the bench. ``bench`` is by default that of the
+    stored configuration, ``folder`` is ``RESULT_export`` beside the result; ``force`` replaces
+    existing files. Raises ResultError if the result has no gap, belongs to another bench, or a file
+    exists, and ConfigError if the bench cannot be used.
     """
     tree = read_result(result)
     if bench is None:
@@ -96,7 +94,7 @@ def _configured_bench(tree: xr.DataTree, result: Path) -> Path:
 
 
 def _draws(posterior: xr.Dataset, bench: Bench) -> dict[str, FloatArray]:
-    """By slot, of one snapshot, shape (draw,)."""
+    """Draws by slot for one snapshot, shape (draw,)."""
     gap = posterior["delta_rad"].values.ravel()
     slots = [info.name for info in BENCH_PARAMETERS]
     for effect in (effect_named(present.name) for present in bench.effects):

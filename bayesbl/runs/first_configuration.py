@@ -1,4 +1,4 @@
-"""A first configuration for recordings, or a bench file, that nobody has described yet."""
+"""Write a first configuration for new recordings, or a bench file to fill in."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from bayesbl.results.store import write_text
 
 
 def require_new(path: Path, what: str, force: bool) -> None:
-    """A file to be written has a name of its own, and is not there yet or may be replaced.
+    """Require a file name that is not a recording's, of a new file or one to replace.
 
-    Raises ConfigError if not; ``what`` says what was to be written.
+    ``what`` names the file in the ConfigError.
     """
     if suffix_of(path) in FORMATS:
         raise ConfigError(
@@ -48,12 +48,12 @@ def start_config(
     joint: str | None = None,
     force: bool = False,
 ) -> tuple[Path, Guess]:
-    """Write a commented configuration: ``fit`` of one recording, ``compare`` of several.
+    """Write a commented configuration: ``fit`` for one recording, ``compare`` for several.
 
-    ``recordings``: files with the same columns; the first one is looked at. ``out``: the file to
-    write; named after the first recording, in the working directory, by default. ``joint``: which
-    one, where a file holds several. ``force``: write over an existing file. Raises UserError if a
-    recording cannot be read, the first holds no time, or the file is there or is a recording.
+    The first recording is examined; all have its columns. ``out`` is named after it by default, in
+    the working directory; ``joint`` chooses one of several; ``force`` replaces a file. Raises
+    UserError if a recording cannot be read, the first has no time, or ``out`` exists or is a
+    recording.
     """
     first = Path(recordings[0])
     path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
@@ -68,7 +68,7 @@ def start_config(
 
 
 def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
-    """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
+    """The configuration as TOML with comments; paths are relative to that of ``path``."""
     from jinja2 import Environment, StrictUndefined
 
     form = Environment(
@@ -97,18 +97,18 @@ def _date_in(name: str) -> str:
 
 
 def quoted(text: str) -> str:
-    """Text as TOML has it."""
+    """A text in TOML."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def relative(file: Path, path: Path) -> str:
-    """A file as the configuration at ``path`` names it."""
+    """A file's path as the configuration at ``path`` states it."""
     return Path(os.path.relpath(file, path.parent)).as_posix()
 
 
 FIRST_CONFIGURATION, FIRST_BENCH = "first_configuration.toml.jinja", "joint.toml"
-"""Beside this module: the form of a configuration, and a bench file to fill in, under the name that
-it speaks of itself by."""
+"""Template of a configuration and a bench file, beside this module. The latter refers to itself by
+this name."""
 
 
 def _beside(name: str) -> str:
@@ -116,9 +116,9 @@ def _beside(name: str) -> str:
 
 
 def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> Path:
-    """Write the commented bench file; the path.
+    """Write the commented bench file; return its path.
 
-    Raises UserError if the file is there and ``force`` is not given, or cannot be written.
+    Raises UserError if it exists and ``force`` is not given, or if it cannot be written.
     """
     path = Path(out) if out is not None else Path(FIRST_BENCH)
     require_new(path, "bench file", force)

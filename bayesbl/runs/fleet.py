@@ -1,8 +1,8 @@
-"""``kind = "fleet"``: every recording of every joint measured once, tables and pages written anew.
+"""``kind = "fleet"``: measure every recording of every joint once; write tables and pages anew.
 
-A run takes what it can from the answers of earlier ones, kept beside the output folder under the
-address of their content: a recording's bytes, its joint's row, the settings and the code. So a new
-file costs its own measurement and its joint's wear, and a run that was killed goes on.
+Answers are kept in a hidden folder beside the output folder, under the hash of all that determines
+them: the recording, its joint's row, the settings and the code. So a new file costs its own
+measurement and its joint's wear, and a killed run continues.
 """
 
 from __future__ import annotations
@@ -59,20 +59,21 @@ from bayesbl.runs.workflow import Options, Plan
 DRAWS_FOLDER = "draws.zarr"
 
 LARGEST_FITS_BYTES = 2_000_000_000
-"""Of finished fits, some 300 kB each, that a joint's change is computed from; the oldest go."""
+"""Total size of finished fits (300 kB each), from which changes are computed; the oldest are
+deleted."""
 
 KEPT = ".kept"
-"""Of the hidden folder beside the output folder that answers are kept in."""
+"""Suffix of the hidden folder of answers."""
 
 MOST_URGENT = 20
-"""Joints in the summary; all are in the tables."""
+"""Number of joints in the summary; the tables have all."""
 
 
 class FleetSummary(Head):
     """``summary.json`` of a fleet.
 
-    ``recordings`` counts them by outcome, ``types`` has the pooled rates, ``most_urgent`` rows of
-    ``joints.parquet``.
+    ``recordings`` counts them by outcome, ``types`` has the pooled rates, and ``most_urgent`` rows
+    of ``joints.parquet``.
     """
 
     kind: Literal["fleet"]
@@ -136,7 +137,7 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
 
 
 def _require_own(output: Path, force: bool) -> None:
-    """The folder is free or a fleet's, whose result every run replaces."""
+    """Require a free folder, or that of a fleet, whose result every run replaces."""
     if not is_finished(output):
         require_free(output)
         return
@@ -149,7 +150,7 @@ def _require_own(output: Path, force: bool) -> None:
 def _jobs(
     config: FleetConfig, joints: Sequence[Joint], recordings: Iterable[Found]
 ) -> tuple[list[JointJob], list[Found]]:
-    """A job for each joint, and what cannot be measured."""
+    """A job for each joint, and the recordings that cannot be measured."""
     recordings = [one.read() for one in recordings]
     owners: dict[str | None, list[Found]] = defaultdict(list)
     for one in recordings:
@@ -166,7 +167,7 @@ def _jobs(
 
 
 def _copied(one: Found, alike: Sequence[Found]) -> str | None:
-    """Why a recording that is there twice is not measured; the first of one joint is."""
+    """Why a duplicate is not measured; the first of one joint is."""
     strange = next((other for other in alike if other.joint != one.joint), None)
     if strange is None and one is alike[0]:
         return None
@@ -178,9 +179,9 @@ def _copied(one: Found, alike: Sequence[Found]) -> str | None:
 def _answers(
     config: FleetConfig, jobs: Sequence[JointJob], store: WorkStore, options: Options
 ) -> Iterator[tuple[JointJob, KeptJoint]]:
-    """Joints with their answers: those that are kept, then those to be measured, as they end.
+    """Joints with their answers: first the kept ones, then those measured now, as they end.
 
-    At the end, what no file that is there leads to any more is forgotten.
+    At the end, answers that no file leads to any more are deleted.
     """
     lacking = []
     for job in jobs:
@@ -220,7 +221,7 @@ def _answers(
 
 
 def _with_known(job: JointJob, store: WorkStore) -> JointJob:
-    """With the answers that earlier runs have kept."""
+    """The job with the answers that earlier runs kept."""
     if store.fresh:
         return job
     numbers = range(len(job.recordings))
@@ -232,7 +233,7 @@ def _with_known(job: JointJob, store: WorkStore) -> JointJob:
 def _measured(
     config: FleetConfig, jobs: Sequence[JointJob], say: Callable[[str], None]
 ) -> Iterator[tuple[JointJob, MeasuredJoint]]:
-    """Joints as they end, in any order; a single one at a time is measured here."""
+    """Joints as they end, in any order; a single worker measures in this process."""
     if (config.run.scheduler is None and min(config.run.workers, len(jobs)) <= 1) or not jobs:
         for job in jobs:
             yield job, measure_joint(job)
@@ -248,7 +249,7 @@ def _write(
     answers: Iterable[tuple[JointJob, KeptJoint]],
     folder: Path,
 ) -> FleetSummary:
-    """Tables, draws, summary and configuration of a fleet, whose answers come in any order."""
+    """Write tables, draws, summary and configuration of a fleet, from answers in any order."""
     draws = DrawsStore(folder / DRAWS_FOLDER)
     rows: list[dict[str, Any]] = []
     of_joint: dict[str, Measured] = {}
@@ -306,7 +307,7 @@ def summary_of(
     pool_by: str | None,
     before: Date | None,
 ) -> FleetSummary:
-    """``summary.json`` of the rows of both tables."""
+    """``summary.json`` from the rows of both tables."""
     counted = Counter(str(row["outcome"]) for row in rows)
     any_gap = any(row["delta_rad_median"] is not None for row in rows)
     rates = {

@@ -1,4 +1,4 @@
-"""Recordings and a data sheet in; the bench that both describe out."""
+"""``kind = "identify"``: find the bench that a data sheet and recordings describe."""
 
 from __future__ import annotations
 
@@ -26,10 +26,7 @@ from bayesbl.sampling.chains import SamplerSettings
 
 
 def make(config: IdentifyConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Identify as configured; nothing is written but finished work.
-
-    Raises UserError if data sheet or recordings cannot be used.
-    """
+    """Identify as configured. Raises UserError if data sheet or recordings cannot be used."""
     problem, notes = problem_of(config)
     level, seed = config.interval.level, np.random.SeedSequence(config.run.seed)
     match = work.get(
@@ -59,7 +56,7 @@ def describe(config: IdentifyConfig, plan: Plan) -> None:
 
 
 def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
-    """Bench and recordings, read and fit to be compared, with what is assumed of them.
+    """Bench and recordings, ready to be compared, with notes on what is assumed of them.
 
     Raises UserError if they cannot be used.
     """

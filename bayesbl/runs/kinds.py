@@ -1,6 +1,6 @@
-"""Every kind of run: its workflow, what its result declares, and what its summary says of it.
+"""Run, check and summarise any kind of configuration.
 
-The one place that knows all kinds; modules of a kind are imported where they are used.
+Only this module knows all kinds; the module of a kind is imported when it is used.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ if TYPE_CHECKING:
 
 
 _MEASURE = ("fit", "compare")
-"""Kinds that share a module here; every other has that of its name, imported when it is needed.
+"""Kinds that share a module; every other kind has a module of its name.
 
-Its ``describe(config, plan)`` asks everything that can be asked before the first expensive step:
-``check`` prints the plan, ``run`` goes by it. ``make(config, options, work)`` gives the result, and
-what takes long goes through ``work``; ``run(config, options)``, in its place, writes an output
-folder that is added to and gives the summary.
+Its ``describe(config, plan)`` makes all checks that come before the first expensive step; ``check``
+prints the plan, ``run`` follows it. ``make(config, options, work)`` returns the result and stores
+expensive steps in ``work``. Instead, ``run(config, options)`` may write an output folder that it
+adds to, and return the summary.
 """
 
 
 def load_run(path: str | Path, *, kind: str | None = None, **options: object) -> RunConfig:
-    """A configuration file with the options of the command line over it; ``None`` is not given.
+    """A configuration file with command-line options over it; ``None`` is not given.
 
     Raises ConfigError as :func:`bayesbl.config.loading.load_config`.
     """
@@ -70,7 +70,7 @@ def load_run(path: str | Path, *, kind: str | None = None, **options: object) ->
 
 
 def kind_of(path: str | Path) -> str:
-    """What a file says of its kind; empty where it cannot, and loading will tell why."""
+    """The kind that a file states; empty if it cannot be read, which loading then reports."""
     try:
         kind = tomllib.loads(read_input(Path(path)).decode("utf-8-sig")).get("kind")
     except (OSError, ValueError, RecursionError):
@@ -79,12 +79,11 @@ def kind_of(path: str | Path) -> str:
 
 
 def run(config: RunConfig, options: Options, file: Path | None = None) -> Summary:
-    """Run a configuration and write its output folder; the summary that was stored.
+    """Run a configuration and write its output folder; return the summary that was stored.
 
-    What an unfinished run has of the same problem is not made again.
-
-    ``file``: where the configuration comes from, if from a file. Raises UserError if the folder may
-    not be written, or anything in the configuration cannot be used.
+    Finished steps of an unfinished run of the same problem are reused. ``file``: the
+    configuration's file, if it has one. Raises UserError if the folder may not be written, or the
+    configuration cannot be used.
     """
     _require_output_apart(config, file)
     plan = Plan(file)
@@ -117,9 +116,9 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
 
 
 def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> xr.DataTree:
-    """What a run of this configuration would store; no output folder is written.
+    """The result of a run; no output folder is written.
 
-    Raises UserError if anything in the configuration cannot be used.
+    Raises UserError if the configuration cannot be used.
     """
     made: xr.DataTree = _workflow(config.kind).make(
         config, Options(progress=progress), NOTHING_KEPT
@@ -128,10 +127,9 @@ def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> x
 
 
 def check(path: str | Path) -> Plan:
-    """Everything that can be checked of a configuration without running it.
+    """Check everything that can be checked without running.
 
-    Raises ConfigError if the file itself cannot be read or is not valid; what is wrong beyond it is
-    in the plan.
+    Raises ConfigError if the file cannot be read or is invalid; all other problems are in the plan.
     """
     kind = kind_of(path)
     plan = Plan(path, [("kind", kind)], is_check=True)
@@ -146,7 +144,7 @@ def check(path: str | Path) -> Plan:
 
 
 def _described(config: RunConfig, plan: Plan) -> ModuleType:
-    """The workflow of a configuration, which has said all that it can before it runs."""
+    """The workflow of a configuration, after it has described itself."""
     plan.add("output", partial(require_output, config.run.output))
     workflow = _workflow(config.kind)
     workflow.describe(config, plan)
@@ -154,7 +152,7 @@ def _described(config: RunConfig, plan: Plan) -> ModuleType:
 
 
 def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
-    """The output folder is none of the inputs, nor holds one."""
+    """Require that the output folder is no input and contains none."""
     output, inputs = config.run.output, files_of(config.model_dump(exclude={"run"}))
     # The configuration that a result holds is written again as it is, so it may be run again.
     if file is not None and os.path.realpath(file) != os.path.realpath(output / CONFIG_FILE):
@@ -171,7 +169,7 @@ def _workflow(kind: str) -> ModuleType:
 def summarise(tree: Tree) -> Summary:
     """``summary.json`` of a stored result of any kind, from the result alone.
 
-    δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
+    δ and the change are ``None`` if the answer is withheld; ``reason`` says why.
     """
     from bayesbl.results.store import summary_of
 
@@ -180,9 +178,9 @@ def summarise(tree: Tree) -> Summary:
 
 
 def read_result(path: str | Path) -> xr.DataTree:
-    """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree` does.
+    """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree`.
 
-    Raises ResultError: also if it is of no known kind.
+    Raises ResultError also for an unknown kind.
     """
     from bayesbl.results.store import read_tree
 

@@ -1,4 +1,4 @@
-"""``fit`` and ``compare``: from recordings of one joint to their gaps, by the route asked for."""
+"""``kind = "fit"`` and ``"compare"``: measure the gaps in recordings of one joint."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Measure; nothing is written but finished work, and curves beside the output folder."""
+    """Measure; gap curves are kept beside the output folder."""
     swept = WorkStore.shared(config.run.output.parent / STORE)
     if config.estimator.bench is not None and swept.folder is None:
         options.say(
@@ -42,7 +42,7 @@ def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTr
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:
-    """What would be measured, and by what."""
+    """What would be measured, and how."""
     measurer = measurer_of(config)
     interval = f"{100.0 * config.interval.level:g} %, {config.interval.kind}"
     plan.add("interval", lambda: interval)
@@ -76,7 +76,7 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
 
 
 def _expected(sds: Sequence[ExpectedSd], config: SnapshotConfig) -> str | None:
-    """Half-widths of the intervals, before any fit."""
+    """Expected half-widths of the intervals, before any fit."""
     if not sds:
         return None
     level = config.interval.level

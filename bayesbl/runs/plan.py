@@ -1,4 +1,4 @@
-"""A bench in, its motions out, ranked by how well they would tell the gap."""
+"""``kind = "plan"``: rank the motions of a bench by how well they would show the gap."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MOTIONS = Group(
 
 
 class PlannedEntry(TypedDict):
-    """A motion, as ``motion = {…}`` of a simulation takes it, with the precision expected."""
+    """A motion, as ``motion = {…}`` of a simulation, with the expected precision."""
 
     kind: Literal["strokes"]
     range_rad: list[float]
@@ -46,7 +46,7 @@ class PlannedEntry(TypedDict):
 
 
 class Planned(TypedDict):
-    """``plan``: the motions, the one that shows δ most precisely first."""
+    """``plan``: the motions, the most precise one first."""
 
     gap_rad: float
     motions: list[PlannedEntry]
@@ -71,10 +71,7 @@ def describe(config: PlanConfig, plan: Plan) -> None:
 
 
 def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Rank motions; it takes no time worth keeping.
-
-    Raises UserError if the bench file cannot be used, or its drive can follow none of the motions.
-    """
+    """Rank motions. Raises UserError if the bench cannot be used, or can follow none of them."""
     limits, bench = config.limits, bench_from(config.bench)
     require_gap(bench, config.bench)
     allowed = Strokes(**limits.model_dump())

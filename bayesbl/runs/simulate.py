@@ -1,4 +1,4 @@
-"""Simulated recordings: a simulate file in, CSV files and the truth out."""
+"""``kind = "simulate"``: write simulated recordings as CSV files, and the truth."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from bayesbl.results.identified import bench_from
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
 
 BYTES_PER_SAMPLE = 400.0
-"""Of a simulated recording: its channels, and all of them as text."""
+"""Memory for a simulated sample: its channels, and all of them as text."""
 
 SECONDS_PER_SAMPLE, SECONDS_PER_SECOND = 5e-6, 1e-4
-"""What writing a sample takes, and integrating a second of the bench's time."""
+"""Time to write a sample, and to integrate a second of the bench's time."""
 
 
 def run_simulate(
@@ -41,15 +41,13 @@ def run_simulate(
     *,
     force: bool = False,
 ) -> list[Path]:
-    """Simulate every recording of a simulate file and write it as CSV.
+    """Simulate every recording of a simulate file and write it as CSV; return the files, the truth
+    last.
 
-    ``config_path``: the simulate file. ``out``: folder of the recordings; ``[run] output`` if
-    ``None``, else the configuration's own folder. ``seed``, ``workers``: instead of those in
-    ``[run]``. The numbers do not depend on the workers. ``force``: replace files that exist.
-    Returns the files written, the recordings in the order of the configuration, then the truth if
-    asked for. Raises ConfigError if the simulate file or its bench file is wrong, and ResultError
-    if a file exists and ``force`` is not given, is an input, or lies outside the folder by a
-    relative path.
+    ``out`` is by default ``[run] output``, or else the configuration's folder; ``seed`` and
+    ``workers`` replace those of ``[run]``, and workers do not change the numbers; ``force``
+    replaces files. Raises ConfigError if the simulate file or its bench is wrong, and ResultError
+    if a file exists, is an input, or a relative path leads out of the folder.
     """
     config_path = Path(config_path)
     config = load_file(Path(config_path), SimulateFile)
@@ -75,7 +73,7 @@ def run_simulate(
 
 
 def describe(path: Path, plan: Plan) -> None:
-    """Which recordings would be made, and on which bench."""
+    """Which recordings would be made, on which bench."""
     config = load_file(Path(path), SimulateFile)
     plan.add("bench", lambda: f"{config.bench}, gap form {bench_from(config.bench).gap_form}")
     plan.add("output", lambda: str(_targets(config, path)[0].parent))
@@ -89,10 +87,7 @@ def describe(path: Path, plan: Plan) -> None:
 
 
 def _targets(config: SimulateFile, config_path: Path, out: str | Path | None = None) -> list[Path]:
-    """The files to write, the truth last; none is an input or leaves the folder unasked.
-
-    All can be written, but for files that are there already.
-    """
+    """The files to write, the truth last, after checking that all can be written."""
     folder = Path(out or config.run.output or config_path.absolute().parent)
     names = [entry.file for entry in config.recordings]
     if config.truth_file is not None:
@@ -112,7 +107,7 @@ def _targets(config: SimulateFile, config_path: Path, out: str | Path | None = N
 
 
 def _require_possible(config: SimulateFile, config_path: Path, bench: Bench) -> None:
-    """All recordings fit into memory, where they are until all are written; none is too short."""
+    """Require that all recordings fit into memory at once, and none is too short."""
     turned_s = [
         entry.rotations * bench.rotation_period_s(entry.reference_speed_rpm)
         if entry.motion is None
@@ -135,7 +130,7 @@ def _require_possible(config: SimulateFile, config_path: Path, bench: Bench) -> 
 
 
 def recording_csv(recording: Recording) -> str:
-    """A recording as CSV text under its channel names, ten significant digits."""
+    """A recording as CSV with its channel names, ten significant digits."""
     names = (TIME, *recording.channels)
     table = np.column_stack([recording.time_s, *recording.channels.values()])
     text = io.StringIO()
@@ -178,7 +173,7 @@ def motion_of(section: MotionSection, gear_ratio: float) -> Motion:
 
 @contextmanager
 def _of_entry(config_path: Path, number: int) -> Iterator[None]:
-    """What a bench cannot do is an error of the entry that asks for it."""
+    """Turn what a bench cannot do into an error of the entry that asks for it."""
     try:
         yield
     except BenchError as error:
@@ -186,10 +181,7 @@ def _of_entry(config_path: Path, number: int) -> Iterator[None]:
 
 
 def refuse_existing(targets: Sequence[Path], force: bool) -> None:
-    """None of these files is there, or may be replaced.
-
-    Raises ResultError, naming the file.
-    """
+    """Require that these files do not exist, unless ``force``. Raises ResultError with the file."""
     for target in targets:
         if target.exists() and not force:
             raise ResultError(
@@ -206,7 +198,7 @@ def _truth(
     recordings: Sequence[Recording],
     contents: Sequence[str],
 ) -> str:
-    """What was simulated, and the hashes of the files that came of it."""
+    """What was simulated, with the hashes of the files."""
     sealed: dict[str, Any] = {
         "version": __version__,
         "seed": seed,
@@ -232,10 +224,7 @@ def _truth(
 
 
 def write_all(targets: Sequence[Path], contents: Sequence[str]) -> None:
-    """None before all are written: a run that is killed leaves no half-written file.
-
-    Raises ResultError if one cannot be written.
-    """
+    """Write all files or none. Raises ResultError if one cannot be written."""
     try:
         with ExitStack() as stack:
             for target, content in zip(targets, contents, strict=True):

@@ -67,7 +67,7 @@ if TYPE_CHECKING:
 
 
 Table = Mapping[str, Any]
-"""A row as the configuration has it."""
+"""A row as the configuration states it."""
 
 REQUIRED = ("count", "run_case", "summarise")
 
@@ -76,7 +76,7 @@ OWN_COLUMNS = {
     "message": ("", "why the case failed"),
     "seconds": ("s", "time that the case took"),
 }
-"""What the runner keeps of every case beside the study's own numbers: unit and long name."""
+"""Unit and long name of what the runner stores of every case besides the study's numbers."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,12 @@ class Study:
 
     @property
     def name(self) -> str:
-        """The file's name without suffix."""
+        """File name without suffix."""
         return self.path.stem
 
     @property
     def columns(self) -> Mapping[str, tuple[str, str]]:
-        """Unit and long name of the cases' numbers, as far as the study gives them."""
+        """Unit and long name of the cases' numbers, as far as the study states them."""
         return getattr(self.module, "COLUMNS", {})
 
     def figure(self, table: Sequence[Table], cases: Mapping[str, xr.Dataset]) -> Figure:
@@ -103,10 +103,8 @@ class Study:
         return figure
 
     def row(self, table: Table) -> Any:
-        """A row as the study's functions take it.
-
-        Raises ConfigError with everything that the study's ``Row`` finds wrong.
-        """
+        """A row as the study's functions take it. Raises ConfigError with all that ``Row``
+        refuses."""
         model: type[BaseModel] | None = getattr(self.module, "Row", None)
         if model is None:
             return dict(table)
@@ -119,7 +117,7 @@ class Study:
             raise config_error(problems, None) from None
 
     def count(self, table: Table) -> int:
-        """How many cases a row has."""
+        """Number of cases in a row."""
         with error_of(self.path, f'in count, row "{table["name"]}"'):
             count = self.module.count(self.row(table))
         if not isinstance(count, int) or count < 1:
@@ -150,9 +148,9 @@ class Study:
         return line
 
     def definition(self, table: Table, seed: int) -> str:
-        """What decides a row's cases beside the package's code: table, study file and seed.
+        """What determines a row's cases besides the package's code: table, study file and seed.
 
-        Files that a row names count with their content, wherever they are.
+        Files that a row names count by their content, wherever they are.
         """
         said = {
             key: [Path(value).name, file_sha256(value)] if _is_file(value) else value
@@ -162,11 +160,7 @@ class Study:
 
 
 def load_study(path: str | Path) -> Study:
-    """Load a study file.
-
-    Raises ConfigError if it cannot be imported, whatever it does instead, or lacks one of the three
-    functions.
-    """
+    """Load a study file. Raises ConfigError if it fails, or lacks one of the three functions."""
     path = Path(path)
     # Registered under a name of its own: pydantic and pickle look modules up there.
     name = f"bayesbl_study_{path.stem}"
@@ -193,9 +187,9 @@ _study_in = cache(load_study)
 
 @contextmanager
 def error_of(path: Path, when: str) -> Iterator[None]:
-    """Whatever leaves the code of a study file, ``sys.exit`` too, is an error of this file.
+    """Turn any exception of a study file's code, even ``sys.exit``, into an error of this file.
 
-    But for a :class:`UserError`, which the file raises in words of its own.
+    A :class:`UserError` passes, because the file raises it in its own words.
     """
     try:
         yield
@@ -211,7 +205,7 @@ def error_of(path: Path, when: str) -> Iterator[None]:
 
 
 def seed_of_case(seed: int, row: str, index: int) -> np.random.SeedSequence:
-    """The seed of one case, from the run's seed and the row's name: other rows do not matter."""
+    """Seed of a case, from the run's seed and the row's name, independent of other rows."""
     words = hashlib.sha256(row.encode()).digest()[:16]
     return np.random.SeedSequence([seed, int.from_bytes(words, "little")], spawn_key=(index,))
 
@@ -231,11 +225,7 @@ def _line_of(error: BaseException, path: Path) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One finished case.
-
-    ``values``: what the study returned; empty if the case failed. ``message``: why it failed; empty
-    if it did not.
-    """
+    """A finished case; ``values`` are empty and ``message`` is set if it failed."""
 
     index: int
     values: Mapping[str, float]
@@ -245,7 +235,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A case that is to be run; ``seed`` is the study's."""
+    """A case to run; ``seed`` is the study's."""
 
     table: Table
     index: int
@@ -258,15 +248,12 @@ class Job:
 
     @property
     def in_words(self) -> str:
-        """Which case it is."""
+        """Name of the case."""
         return f'case {self.index} of row "{self.row}"'
 
 
 def run_case(path: str, job: Job) -> Case:
-    """Run a case of the study in a file, in a process that stays for others.
-
-    A :class:`UserError` of the study is its message.
-    """
+    """Run a case of the study in a file. A :class:`UserError` becomes the case's message."""
     study = _study_in(path)
     start = time.perf_counter()
     values, message = {}, ""
@@ -280,7 +267,7 @@ def run_case(path: str, job: Job) -> Case:
 
 
 def files_of_study(study: Study, jobs: Sequence[Job]) -> list[str]:
-    """Path of the study file and of every file that the rows of these cases name."""
+    """The study file and every file that the rows of these cases name."""
     named = (value for job in jobs for value in job.table.values() if _is_file(value))
     return list(dict.fromkeys([str(study.path), *named]))
 
@@ -291,7 +278,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\n")
 
 @dataclass(slots=True)
 class Row:
-    """A row with the cases that are finished, by index."""
+    """A row with its finished cases, by index."""
 
     table: Table
     count: int
@@ -303,18 +290,17 @@ class Row:
         return str(self.table["name"])
 
     def jobs(self, seed: int) -> list[Job]:
-        """The cases that are still to be run."""
+        """The cases to run."""
         return [
             Job(self.table, index, seed) for index in range(self.count) if index not in self.cases
         ]
 
 
 def run(config: StudyConfig, options: Options) -> StudySummary:
-    """Run what is not finished of a study, write its output folder, and return the summary.
+    """Run the unfinished cases of a study, write its output folder, and return the summary.
 
-    Cases that an unfinished run has are taken over if their row is defined as it was.
-
-    Raises UserError if the study, a row or the output folder cannot be used.
+    Cases of an unfinished run are reused if the definition of their row is the same. Raises
+    UserError if the study, a row or the output folder cannot be used.
     """
     study, rows = prepare(config)
     with work_of(config, options) as work:
@@ -329,7 +315,7 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
 
 
 def describe(config: StudyConfig, plan: Plan) -> None:
-    """What would run, in words."""
+    """What would run."""
 
     def told() -> str:
         study, rows = prepare(config)
@@ -339,7 +325,7 @@ def describe(config: StudyConfig, plan: Plan) -> None:
 
 
 def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
-    """The study with its rows, all of them validated.
+    """The study with its validated rows.
 
     Raises ConfigError if the study file cannot be loaded, or refuses a row.
     """
@@ -359,9 +345,9 @@ class StudySummary(Head):
 
 
 def table_csv(lines: Sequence[Mapping[str, Any]]) -> str:
-    """Lines of the table as CSV, six digits, the commit last; times are left to the summary.
+    """The table as CSV with six digits, the commit last, without times.
 
-    A text that a spreadsheet would take for a formula begins with an apostrophe.
+    A text that a spreadsheet would take for a formula gets an apostrophe in front.
     """
     columns = table_columns(lines)
     text = io.StringIO()
@@ -379,7 +365,7 @@ def _harmless(value: object) -> str:
 
 
 def table_columns(lines: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Columns of all lines in the order of their first appearance, the commit last."""
+    """Columns in the order of their first appearance, the commit last."""
     columns = dict.fromkeys(column for line in lines for column in line)
     return [column for column in columns if column not in ("seconds", "commit")] + ["commit"]
 
@@ -392,14 +378,14 @@ def cell(value: object) -> str:
 
 
 def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.Dataset]]:
-    """Lines of a result's table, and the cases of each row by its name."""
+    """Lines of a result's table, and the cases of each row by name."""
     groups = _groups(tree)
     lines = [json.loads(group.attrs["line"]) for group in groups]
     return lines, {group.attrs["name"]: group for group in groups}
 
 
 def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> None:
-    """Give a row the cases that an earlier, unfinished run stored."""
+    """Give a row the cases that an unfinished run stored."""
     stored = (work.recall("case", (row.definition, index), Case) for index in range(row.count))
     row.cases = {case.index: case for case in stored if case is not None}
     if row.cases:
@@ -409,7 +395,7 @@ def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> N
 def _finish(
     study: Study, rows: Sequence[Row], config: StudyConfig, work: WorkStore, options: Options
 ) -> None:
-    """Run all cases that lack, each stored as soon as it ends, in any order."""
+    """Run all missing cases, in any order, and store each as soon as it ends."""
     by_name = {row.name: row for row in rows}
     jobs = [job for row in rows for job in row.jobs(config.run.seed)]
     if not jobs:
@@ -486,13 +472,13 @@ def _described(study: Study, name: str) -> dict[str, str]:
 
 
 def _groups(tree: xr.DataTree) -> list[xr.Dataset]:
-    """The rows of a result in their order."""
+    """The rows of a result in order."""
     names = sorted(tree.children, key=lambda name: int(name.removeprefix("row_")))
     return [tree[name].to_dataset() for name in names]
 
 
 def draw_study(study: Study, tree: xr.DataTree, folder: Path, formats: Sequence[str]) -> list[Path]:
-    """Draw the study's own figure, if its file has one; the files written."""
+    """Draw the study's own figure, if its file has one; return the files."""
     if not hasattr(study.module, "figure") or not formats:
         return []
     figure = study.figure(*stored_rows(tree))

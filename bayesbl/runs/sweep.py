@@ -1,4 +1,4 @@
-"""A bench in, its gap curve out."""
+"""``kind = "sweep"``: simulate a bench over a range of gaps and make its gap curve."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ BENCH_DRAWS = Group(
 
 
 def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
-    """Noise-free speed over one rotation at a few gaps, from where the arm is level, for the
+    """Noise-free speed over one rotation at a few gaps, starting with the arm level, for
     figures."""
     gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
     level_rad = 0.5 * math.pi - bench.value("gravity_angle_rad")
@@ -78,7 +78,7 @@ def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
 
 
 def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
-    """Inverse of eq. 4, by interpolation on a fine grid, rpm."""
+    """Inverse of eq. 4 by interpolation on a fine grid, rpm."""
     curve = published_curve(draws=1)
     low, high = curve.amplitude_range_rpm
     grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
@@ -101,7 +101,7 @@ class SweepSummary(Head):
 
 
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
-"""What simulating and fitting takes, roughly: all recordings of a row are held at once."""
+"""Approximate cost of simulating and fitting; all recordings of a row are held at once."""
 
 
 def describe(config: SweepConfig, plan: Plan) -> None:
@@ -121,11 +121,9 @@ def _gaps(config: SweepConfig, bench: Bench) -> str:
 def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Sweep a bench and regress its gap curve.
 
-    Rows that the same code made of the same problem are taken from where those of curves made on
-    demand are kept, in place of ``work``, unless ``options.force`` asks for new ones.
-
-    Raises UserError if the bench file cannot be used, a simulation fails, or the curve is not
-    monotone.
+    Rows of the same problem by the same code are reused from the store of curves on demand, unless
+    ``options.force``. Raises UserError if the bench cannot be used, a simulation fails, or the
+    curve is not monotone.
     """
     bench = bench_from(config.bench)
     require_flank_change(bench)
@@ -199,7 +197,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
 
 
 def require_drawable(config: SweepConfig, bench: Bench) -> None:
-    """The bench has a tolerance where benches are to be drawn within it."""
+    """Require a tolerance if benches are to be drawn."""
     if config.sweep.bench_draws and not bench.tolerances:
         raise ConfigError(
             "There is nothing to draw: no parameter of the bench has a tolerance.",

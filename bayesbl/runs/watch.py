@@ -1,9 +1,9 @@
-"""``bayesbl watch``: recordings measured as they appear, a row each, on a small device.
+"""``bayesbl watch``: measure recordings as they appear, on a small device, a row for each.
 
-Each is measured as ``bayesbl fleet`` measures it, and its answer is kept where a fleet of the same
-configuration looks for it. The order of steps makes a cut at any moment harmless: the answer is
-kept by its content, then is a row, then is sent. A recording without a row is taken up again from
-what is kept, and the same answer sent twice is one row.
+Each is measured as by ``bayesbl fleet``, and its answer is kept where a fleet of the same
+configuration looks for it. The answer is first stored by its content, then becomes a row, then is
+sent. So a power cut does no harm at any moment: a recording without a row is continued from the
+store, and an answer sent twice is one row.
 """
 
 from __future__ import annotations
@@ -44,23 +44,20 @@ from bayesbl.results.work import WorkStore
 from bayesbl.runs.fleet import KEPT
 
 SETTLED_S = 5.0
-"""For how long size and time of a file have to stay as they are before it is complete."""
+"""Time without a change of size or date after which a file is complete."""
 
 POLL_S = 1.0
 
 LARGEST_KEPT_BYTES = 500_000_000
-"""Of answers, and as much of finished fits; the oldest go."""
+"""Total size of answers, and of finished fits; the oldest are deleted."""
 
 LAST_SENT_WAIT_S = 30.0
-"""For which a run that ends by itself waits for the broker."""
+"""How long a run that ends waits for the broker."""
 
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What to watch, and how.
-
-    ``once``: end when everything that is there is measured, and sent.
-    """
+    """What to watch, and how; ``once``: end when everything is measured and sent."""
 
     folder: Path
     output: Path
@@ -76,11 +73,11 @@ def watch(
     say: Callable[[str], None],
     tell: Callable[[Mapping[str, Any]], None],
 ) -> None:
-    """Measure what appears, until interrupted or, ``once``, until nothing is left.
+    """Measure what appears until interrupted or, with ``once``, until nothing is left.
 
-    ``tell``: called with each new row. Raises UserError if configuration, inventory, output folder
-    or credentials cannot be used, and OSError if nothing can be written: what was measured so far
-    is safe.
+    ``tell`` is called with each new row. Raises UserError if configuration, inventory, output
+    folder or credentials cannot be used, and OSError if nothing can be written; what was measured
+    before is safe.
     """
     config = _with_folder(config, asked.folder)
     joints = {joint.name: joint for joint in read_joints(config.fleet)}
@@ -91,7 +88,7 @@ def watch(
 
 
 def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
-    """The configuration with its pattern's own folder replaced."""
+    """The configuration with the folder of its pattern replaced."""
     if not config.fleet.is_pattern:
         raise ConfigError(
             "New recordings are found by a pattern, not by a table.",
@@ -114,7 +111,7 @@ def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
 def _sending(
     asked: Watched, table: RecordingTable, say: Callable[[str], None]
 ) -> Iterator[Callable[[list[dict[str, Any]]], None]]:
-    """All rows are sent, and those that the block gives, if there is an address to send them to."""
+    """Send all rows, and those that the block offers, if there is an address."""
     if asked.publish is None:
         yield lambda rows: None
         return
@@ -156,7 +153,7 @@ def _watch(asked: Watched, measuring: _Measuring) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Measuring:
-    """From a recording that is complete to its row."""
+    """Turns a complete recording into a row."""
 
     config: FleetConfig
     joints: Mapping[str, Joint]
@@ -166,7 +163,7 @@ class _Measuring:
     tell: Callable[[Mapping[str, Any]], None]
 
     def took(self, one: Found) -> bool:
-        """Whether a recording has a row now; one that changes meanwhile is left for later."""
+        """Whether a recording has a row now; one that is being changed is left for later."""
         listed, one = one, one.read()
         if one.reason != listed.reason and file_state(one.file) is None:
             return False  # it has been taken away

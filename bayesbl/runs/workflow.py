@@ -1,4 +1,4 @@
-"""What every kind of run shares: its options, its finished work, and the folder it writes."""
+"""What all kinds of runs share: options, finished work, and the output folder."""
 
 from __future__ import annotations
 
@@ -33,51 +33,38 @@ if TYPE_CHECKING:
     from bayesbl.recording.types import Recording
 
 Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]
-"""Draws the figures of a result into a folder in the formats given, png and pdf.
-
-Passed in, as figures are made from results.
-"""
+"""Draws the figures of a result into a folder, in these formats (png, pdf)."""
 
 LONGEST_S = 7 * 24 * 3600.0
-"""Of a run."""
+"""Longest duration of a run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How a run is to be made, whatever its kind.
-
-    ``force``: replace a finished result; start over where a run was left unfinished. ``say``:
-    called with sentences for the user. ``recordings``: of a fit or a comparison, as they were read
-    to be described.
-    """
+    """How to run, for any kind."""
 
     draw: Draw = lambda tree, folder, formats: None
-    force: bool = False
+    force: bool = False  # replace a finished result; start over an unfinished run
     progress: StageProgress | None = None
-    say: Callable[[str], None] = print
-    formats: Sequence[str] = ("png",)
-    recordings: Sequence[Recording] = ()
+    say: Callable[[str], None] = print  # prints sentences for the user
+    formats: Sequence[str] = ("png",)  # of figures
+    recordings: Sequence[Recording] = ()  # of a measurement, as they were read to be described
 
 
 @dataclass(slots=True)
 class Plan:
-    """What a configuration would do, in pairs of label and text, and what speaks against it.
+    """What a configuration would do (label and text), and what speaks against it."""
 
-    ``is_check``: a user asks, and no run follows. ``withheld``: why an answer would be withheld,
-    where that is known beforehand. ``file`` is named by problems that name no other.
-    ``recordings``: what was read, so that a run need not.
-    """
-
-    file: str | Path | None = None
+    file: str | Path | None = None  # named by problems that name no other
     lines: list[tuple[str, str]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    withheld: list[str] = field(default_factory=list)
+    withheld: list[str] = field(default_factory=list)  # why answers would be withheld
     problems: list[UserError] = field(default_factory=list)
-    recordings: list[Recording] = field(default_factory=list)
-    is_check: bool = False
+    recordings: list[Recording] = field(default_factory=list)  # so that a run need not read them
+    is_check: bool = False  # whether no run follows
 
     def add(self, label: str, text: Callable[[], str | None]) -> None:
-        """A line, or the problem that making it met; no line for ``None``."""
+        """Add a line, unless it is ``None``, or the problem met while making it."""
         try:
             line = text()
         except UserError as problem:
@@ -93,8 +80,7 @@ class Plan:
 def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
     """The finished work of an unfinished run of a configuration.
 
-    Raises ResultError if the output folder holds a finished result that is not given up, or may not
-    be written.
+    Raises ResultError if the output folder holds a result to keep, or may not be written.
     """
     output = config.run.output
     # A run may have been killed when its result was there, and its work not yet forgotten.
@@ -104,9 +90,9 @@ def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
 
 
 def require_output(folder: Path) -> str:
-    """A result can be written into this folder; one that is there already is no fault of it.
+    """Require that a result can be written into this folder, perhaps in place of another.
 
-    Raises ResultError if something else is there, or no folder can be made where it would be.
+    Raises ResultError if something else is there, or no folder can be made.
     """
     require_free(folder, force=True)
     require_writable(folder.absolute().parent)
@@ -114,10 +100,7 @@ def require_output(folder: Path) -> str:
 
 
 def require_writable(folder: Path) -> None:
-    """A folder can be made here, or in the nearest folder above that exists.
-
-    Raises ResultError if not.
-    """
+    """Require that a folder can be made here, or in the nearest existing folder above."""
     require_no_file(folder)
     existing = next(place for place in (folder, *folder.parents) if os.path.isdir(place))
     try:
@@ -128,10 +111,7 @@ def require_writable(folder: Path) -> None:
 
 
 def require_affordable(what: str, expected: str, memory_bytes: float, seconds: float) -> None:
-    """A run fits into the memory of this machine, and ends.
-
-    Raises ConfigError with both estimates.
-    """
+    """Require that a run fits into memory and ends; the ConfigError has both estimates."""
     largest = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     if memory_bytes <= largest and seconds <= LONGEST_S:
         return
@@ -143,7 +123,7 @@ def require_affordable(what: str, expected: str, memory_bytes: float, seconds: f
 
 
 def settings_of(config: RunConfig) -> dict[str, Any]:
-    """The tables of a configuration, without what changes no number."""
+    """The tables of a configuration without those that change no number."""
     return config.model_dump(
         by_alias=True, exclude_none=True, exclude={"run": {"workers", "output"}}
     )
@@ -157,13 +137,11 @@ def write_result(
     texts: Mapping[str, str],
     work: WorkStore,
 ) -> None:
-    """The output folder of a result, whole or not at all; finished work is then forgotten.
+    """Write the output folder of a result, whole or not at all; then delete finished work.
 
-    Figures can be made again at once, what was computed cannot: where drawing fails, the result is
-    stored with the figures drawn so far, and the failure raised only then, with a note that says
-    so.
-
-    ``texts``: further files by name; empty ones are not written.
+    If drawing fails, the result is stored with the figures drawn so far, because these can be drawn
+    again, and the failure is raised afterwards with a note. ``texts``: further files by name,
+    unless empty.
     """
     from bayesbl.results.store import write_json, write_text, write_tree
 

@@ -1,1 +1,1 @@
-"""Publication figures from a stored result alone; each module that declares one adds it."""
+"""Figures of a stored result; each module declares some."""

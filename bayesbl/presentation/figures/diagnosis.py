@@ -1,4 +1,4 @@
-"""A diagnosis or an identification: the disagreement before and after, and what was learned."""
+"""Figures of a diagnosis or identification: model errors before and after, and what was learned."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _LOOKS = (style.look(1), style.look(0))
 """Looks of the bench as given, and with what was named."""
 
 _ZOOM = 0.04
-"""Share of a recording that the panel beside its residuals shows."""
+"""Share of a recording that the zoom shows."""
 _FEWEST_SHOWN = 150
-"""Samples in that panel, where the recording has twice as many."""
+"""Samples in the zoom, if the recording has twice as many."""
 _OUTLINE_BINS = 900
 _LINE_LETTERS = 125
 _SHOWN_ROW_IN = 1.75
 
 
 def _held_out(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
-    """The recording held out that the bench as given predicts worst; a fitted one if none is."""
+    """The held-out recording that the given bench predicts worst; a fitted one without any."""
     pieces = _pieces(tree)
     last = [piece for piece in pieces if piece[2] == "held_out"] or pieces
     stored = set(tree["signals"].to_dataset()["recording"].values.tolist())
@@ -51,7 +51,7 @@ def _held_out(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
 
 
 def _pieces(tree: xr.DataTree) -> list[Piece]:
-    """Everything that was compared, held out first."""
+    """Everything compared, held-out pieces first."""
     summary: DiagnosisSummary = summary_of(tree)
     return sorted(compared_pieces(summary["disagreement"]), key=lambda piece: piece[2])
 
@@ -65,7 +65,7 @@ def _pieces(tree: xr.DataTree) -> list[Piece]:
     parts=_held_out,
 )
 def held_out(tree: xr.DataTree, recording: str, use: Use) -> Figure:
-    """A row for each channel: both residuals on one scale, a zoom; beside them every RMS."""
+    """A row for each channel: both residuals on one scale, and a zoom; beside them every RMS."""
     pieces = _pieces(tree)
     rms = {channel: size for name, channel, of, size in pieces if (name, of) == (recording, use)}
     whole = f"Left: recording {recording}, {USES[use]}. Right: all recordings."
@@ -116,7 +116,7 @@ def _compared(signals: xr.Dataset, recording: str, use: str, channel: str) -> di
 
 
 def _worst(course: dict[str, FloatArray]) -> tuple[float, float]:
-    """The stretch of time in which the bench as given disagrees most."""
+    """The stretch of time in which the given bench is worst."""
     time, residual = course["time_s"], np.abs(course["measured"] - course["before"])
     first, last = float(np.nanmin(time)), float(np.nanmax(time))
     enough = _FEWEST_SHOWN * float(np.nanmedian(np.diff(time)))
@@ -133,7 +133,7 @@ def _draw_residuals(
     channel: str,
     window: tuple[float, float],
 ) -> list[Axes]:
-    """Before above after on one scale; the noise floor as a band, the zoom tinted."""
+    """Residuals before and after on one scale, with the zoom shaded."""
     unit, sizes, floor = unit_of(channel), (rms["before"], rms["after"]), rms["noise_floor"]
     unchanged = np.array_equal(course["before"], course["after"])
     stages = list(zip(("before", "after"), _LOOKS, strict=True))[: 1 if unchanged else 2]
@@ -215,7 +215,7 @@ _LEARNED = {
     "learned_torque": ("torque_nm", "sd_nm", 1.0, "Learned torque\nat the {} (N m)"),
     "encoder_error": ("angle_rad", "sd_rad", 1e3, "Error of the\nencoder (mrad)"),
 }
-"""Group to its variables, the scale that they are shown in, and the label."""
+"""Variables of each group, scale of their values, and label."""
 
 _SCALES = {"motor_angle": 0.5 / math.pi, "load_angle": 180.0 / math.pi}
 
@@ -228,7 +228,7 @@ _SCALES = {"motor_angle": 0.5 / math.pi, "load_angle": 180.0 / math.pi}
     name="learned",
 )
 def learned_course(tree: xr.DataTree) -> Figure:
-    """Its course forwards."""
+    """The learned term for forward motion."""
     group = next(group for group in _LEARNED if group in tree.children)
     value, deviation, scale, label = _LEARNED[group]
     stored = tree[group].to_dataset()
@@ -255,7 +255,7 @@ def learned_course(tree: xr.DataTree) -> Figure:
     lambda tree: bool(tree.attrs["kind"] == "identify"),
 )
 def prior_and_posterior(tree: xr.DataTree) -> Figure:
-    """Per cent from the data sheet's value: its tolerance, and median and interval found."""
+    """Per cent from the data sheet: its tolerance, and the identified median and interval."""
     summary: IdentificationSummary = summary_of(tree)
     parameters = summary["parameters"]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.8 + 0.3 * len(parameters))

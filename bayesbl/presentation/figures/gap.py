@@ -1,4 +1,4 @@
-"""The gap: of every snapshot with its change, where it comes from, and its wear over time."""
+"""Figures of the gap: snapshots and change, the gap curve, and wear over time."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ from bayesbl.ringing.symbols import AMPLITUDE
 
 _ROW_IN = 0.5
 VISIBLE = 0.005
-"""Of a density's peak: what is lower is a line on its baseline."""
+"""Share of a density's peak below which it is not drawn."""
 _RIDGE = 0.6
-"""Height of a density, in rows."""
+"""Height of a density in rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """Draws in mrad with what is written beside them; ``answers``: of the route that does."""
+    """Draws in mrad with their label; ``answers``: drawn by the answering route."""
 
     label: str
     draws: FloatArray
@@ -66,7 +66,7 @@ class _Row:
     holding("gap/delta_rad"),
 )
 def gap(tree: xr.DataTree) -> Figure:
-    """A row per snapshot and route: density, median and interval, on one axis with the limit."""
+    """A row for each snapshot and route: density, median and interval, with the limit."""
     gaps, changes = _gap_rows(tree), _change_rows(tree)
     count = max(len(gaps), len(changes))
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.85 + _ROW_IN * count)
@@ -87,7 +87,7 @@ def gap(tree: xr.DataTree) -> Figure:
 
 
 def _gap_rows(tree: xr.DataTree) -> list[_Row]:
-    """Snapshot by snapshot, the route that answers first."""
+    """Rows by snapshot, the answering route first."""
     routes = [name for name in routes_of(tree) if holds(tree.children[name], f"posterior/{GAP}")]
     each = {route: stored_answers(tree, route) for route in routes}
     rows = []
@@ -111,7 +111,7 @@ def _names(tree: xr.DataTree) -> list[str]:
 
 
 def _change_rows(tree: xr.DataTree) -> list[_Row]:
-    """From first to last by each route; each step too where there are more, by the answer's."""
+    """Change from first to last by each route, and each step by the answering route."""
     if "change" not in tree.children:
         return []
     summary = summary_of(tree)
@@ -135,7 +135,7 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
 
 
 def density(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places and heights of a density, at the edges too; draws of a withheld gap may be alike."""
+    """Places and heights of a density, up to its edges; draws of a withheld gap may be equal."""
     from arviz_stats.base import array_stats
 
     if np.ptp(draws) == 0.0:
@@ -155,7 +155,7 @@ def _draw_rows(
     label: str,
     limit_rad: float | None = None,
 ) -> None:
-    """Rows from above; the others' densities are outlines, the answer's filled."""
+    """Draw rows from top to bottom; only the answer's densities are filled."""
     texts: list[tuple[float, int, str]] = []
     ends_shown: list[float] = []
     for place, row in enumerate(rows):
@@ -212,7 +212,7 @@ def _draw_rows(
 
 THROUGH = "curve_amplitude_rpm"
 _MOST_SHOWN = 400
-"""Draws that are drawn one by one."""
+"""Largest number of draws shown."""
 
 
 @stored_figure(
@@ -222,7 +222,7 @@ _MOST_SHOWN = 400
     holding("posterior/curve_amplitude_rpm", "curve/delta_rad"),
 )
 def amplitude_to_gap(tree: xr.DataTree) -> Figure:
-    """δ against A with the draws of both."""
+    """δ against A, with draws of both."""
     parts = snapshots(tree, "posterior/curve_amplitude_rpm")
     lines = 2 + len(parts) + ("limit_rad" in tree.attrs)
     top = 0.1 + style.LINE_IN * ((lines + 1) // 2)
@@ -246,7 +246,7 @@ def amplitude_to_gap(tree: xr.DataTree) -> Figure:
 
 
 def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
-    """Draws, and their median with intervals both ways; hollow and grey where withheld."""
+    """Draws, their medians and intervals; hollow and grey if withheld."""
     drawn, gaps = (snapshot.values("posterior", name).ravel() for name in (THROUGH, GAP))
     shown = slice(None, None, max(1, drawn.size // _MOST_SHOWN))
     colour = gap_colour(snapshot, index)
@@ -272,7 +272,7 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
 
 
 def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
-    """Around the posteriors, and up to a limit that is not far away."""
+    """Show the posteriors, and a limit that is near."""
     for name, factor, setter in (
         (AMPLITUDE, 1.0, main.set_xlim),
         (GAP, 1e3, main.set_ylim),
@@ -288,10 +288,10 @@ def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
 
 
 _HIGHEST_VIEW = 1.3
-"""How far beyond the limit and the gaps is shown: a path that speeds up would hide them."""
+"""How far the view extends beyond limit and gaps; a path that speeds up would hide them."""
 
 _LONGEST_VIEW = 3.0
-"""How far ahead is shown at most, in times since the first snapshot in use."""
+"""How far ahead the view extends, in times since the first snapshot in use."""
 
 
 @stored_figure(
@@ -300,7 +300,7 @@ _LONGEST_VIEW = 3.0
     holding(WEAR.name),
 )
 def wear(tree: xr.DataTree) -> Figure:
-    """δ of every dated snapshot with its path since the last repair; when the limit is reached."""
+    """δ of every dated snapshot with its path, and when the limit is reached."""
     group = tree[WEAR.name].to_dataset()
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group
@@ -327,10 +327,10 @@ def wear(tree: xr.DataTree) -> Figure:
 
 
 def path_band(group: xr.Dataset, years: FloatArray, level: float) -> FloatArray:
-    """Low, median and high of the mean path, years from the last snapshot, shape (3, n), rad.
+    """Low, median and high of the mean path, by years from the last snapshot, shape (3, n), rad.
 
-    Equal-tailed: between first and last gap by the law that leads from one to the other, beyond
-    by the law alone, without what irregular wear adds.
+    Equal-tailed. Between first and last gap, the path follows the law that connects them; beyond,
+    the law without irregular wear.
     """
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
@@ -348,18 +348,18 @@ def path_band(group: xr.Dataset, years: FloatArray, level: float) -> FloatArray:
 
 
 def reached(group: xr.Dataset, years: FloatArray) -> FloatArray:
-    """Probability that the limit is reached within so many years of the last snapshot."""
+    """Probability that the limit is reached within these years from the last snapshot."""
     times = np.sort(group["years_to_limit"].values.ravel())
     return np.asarray(np.searchsorted(times, years, side="right") / times.size)
 
 
 def _days(days: list[Date]) -> FloatArray:
-    """Days since 1970, which is how matplotlib counts them."""
+    """Days since 1970, as matplotlib counts them."""
     return np.array(days, dtype="datetime64[D]").astype(np.float64)
 
 
 def _years_ahead(group: xr.Dataset) -> float:
-    """Up to where 80 % of the draws have reached the limit, or as far as the path may be drawn."""
+    """When 80 % of the draws have reached the limit, within the longest view."""
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
     ahead = 0.5 * span

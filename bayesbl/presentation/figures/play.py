@@ -1,4 +1,4 @@
-"""The play where it is measured directly: torque ramps, and encoders at motor and load."""
+"""Figures of directly measured play: torque ramps, and encoders at motor and load."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from bayesbl.presentation.figures.style import GAP
     name="loop",
 )
 def ramp_loops(tree: xr.DataTree) -> Figure:
-    """A panel per snapshot: its files from their middles; the band is the play, 2δ."""
+    """A panel for each snapshot with its files, centred; the band is the play 2δ."""
     parts = snapshots(tree, "loop")
     lines = 2 if len(parts) == 1 else 1
     figure, axes = style.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * style.LINE_IN)
@@ -82,7 +82,7 @@ def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: 
     name="flanks",
 )
 def flank_paths(tree: xr.DataTree) -> Figure:
-    """A panel per snapshot; the band is the play, 2δ."""
+    """A panel for each snapshot; the band is the play 2δ."""
     parts = snapshots(tree, "transmission")
     figure, axes = style.one_panel_each(len(parts), 2.6, above=1.2 * style.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):

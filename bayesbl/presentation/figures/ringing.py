@@ -1,4 +1,4 @@
-"""A recording beside its model, ringing or bench; the posterior of its symbols, pair by pair."""
+"""Figures of a recording with its model (ringing or bench), and of the posterior pair by pair."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BINS = 700
 
 
 class _Signal(NamedTuple):
-    """What is drawn of one snapshot, each of shape (n,), s and rpm."""
+    """What is drawn of a snapshot, each of shape (n,), s and rpm."""
 
     time: FloatArray
     speed: FloatArray
@@ -49,7 +49,7 @@ def _signal(snapshot: Snapshot) -> _Signal:
     "The measured motor speed with the fitted ringing.", 10, holding("predictive/model_rpm")
 )
 def signal(tree: xr.DataTree) -> Figure:
-    """One block per snapshot: the whole recording, a positive and a negative pulse."""
+    """A block for each snapshot: the whole recording, a positive and a negative pulse."""
     parts = snapshots(tree, "predictive/model_rpm")
     band = interval_name(tree).replace("interval", "predictive band")
     band = band.replace("HDI", "predictive band")
@@ -92,7 +92,7 @@ def signal(tree: xr.DataTree) -> Figure:
 
 
 def impact_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
-    """Start and end, in s, of the window of the pulse that is nearest to the middle."""
+    """Start and end, in s, of the window of the pulse nearest to the middle."""
     time = snapshot.time_s
     symbol = {
         name: snapshot.number("optimum", name)
@@ -106,7 +106,7 @@ def impact_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
 
 
 def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
-    """Outlines of the dense traces: every extreme is on the page, not every sample."""
+    """Outlines of dense traces, which show every extreme."""
     time, _, band_high = style.envelope(data.time, data.high, _BINS)
     _, band_low, _ = style.envelope(data.time, data.low, _BINS)
     upper.fill_between(time, band_low, band_high, color=style.BAND, linewidth=0.0)
@@ -141,7 +141,7 @@ def _draw_samples(
     residual: FloatArray,
     label: str,
 ) -> None:
-    """What was measured and its model, named by ``label``, with the residual below."""
+    """A measured signal and its model, with the residual below."""
     upper.plot(time, measured, color=style.MEASURED, linewidth=0.7, label="measured")
     upper.plot(time, model, color=style.MODEL, linewidth=1.0, label=label)
     lower.plot(time, residual, color=style.MEASURED, linewidth=0.7, label="residual")
@@ -161,7 +161,7 @@ _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor c
     name="simulation",
 )
 def overlay(tree: xr.DataTree) -> Figure:
-    """One row of panels per snapshot: the middle rotation of each channel that was compared."""
+    """A row for each snapshot: the middle rotation of each compared channel."""
     parts = snapshots(tree, "predictive/simulated_motor_speed_rpm")
     channels = [c for c in _CHANNELS if any(_has(part, c) for part in parts)]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _OVERLAY_IN * len(parts))
@@ -227,7 +227,7 @@ class _Symbol(NamedTuple):
     low: float
     high: float
     draws: FloatArray
-    """In cells from the lower end of what is shown, shape (m,)."""
+    """Shape (m,), in cells from the lower end of what is shown."""
 
     @classmethod
     def of(cls, name: str, values: FloatArray) -> _Symbol:
@@ -238,7 +238,7 @@ class _Symbol(NamedTuple):
         return cls(_label(name), float(low), float(high), _CELLS * (values - low) / (high - low))
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Place, in cells, and label of each."""
+        """Position, in cells, and label of each tick."""
         values = MaxNLocator(3, prune="both").tick_values(self.low, self.high)
         scale = _CELLS / (self.high - self.low)
         shown = [value for value in values if self.low < value < self.high]
@@ -253,9 +253,9 @@ class _Symbol(NamedTuple):
     parts=each_snapshot("posterior/amplitude_rpm"),
 )
 def corner(snapshot: Snapshot) -> Figure:
-    """Marginals on the diagonal, pairs below it; every free symbol and δ have a row.
+    """Marginals on the diagonal, pairs below, for every free symbol and δ.
 
-    All are in one panel, in cells: panels of their own take four times as long to draw.
+    All are in one panel, in cells: separate panels take four times as long to draw.
     """
     names = [name for name in (*SYMBOLS, style.GAP) if name in snapshot.group("posterior")]
     symbols = [_Symbol.of(name, snapshot.values("posterior", name).ravel()) for name in names]
@@ -304,7 +304,7 @@ def _draw_marginal(panel: Axes, right: int, up: int, draws: FloatArray) -> None:
 
 
 def _pair(up: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Density of draws over its largest, and the share of them in denser cells than each."""
+    """Density of draws over its maximum, and the share of draws in denser cells."""
     box = (0.0, _CELLS), (0.0, _CELLS)
     counts, _, _ = np.histogram2d(up, across, _CELLS, box)
     # Contours of raw counts are ragged.

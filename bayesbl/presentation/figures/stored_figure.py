@@ -1,4 +1,4 @@
-"""Figures of a stored result, from its tree alone: what each needs, shows, and where it comes."""
+"""Declare figures of a stored result, by what they need, and draw all that apply."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def route_holding(tree: xr.DataTree, path: str) -> str | None:
 
 
 def holds(tree: xr.DataTree, path: str) -> bool:
-    """Whether a tree has a group ``wear``, or a variable ``misfit/mean_rpm`` in its group."""
+    """Whether a tree has a group (``wear``), or a variable in its group (``misfit/mean_rpm``)."""
     group, _, variable = path.partition("/")
     if group not in tree.children:
         return False
@@ -33,17 +33,17 @@ def holds(tree: xr.DataTree, path: str) -> bool:
 
 
 def snapshots(tree: xr.DataTree, holding: str | None = None) -> list[Snapshot]:
-    """Answers for every recording, by the route that answers, or by that which holds this."""
+    """Answers for every recording, by the answering route or the one that holds this."""
     return stored_answers(tree, None if holding is None else route_holding(tree, holding))
 
 
 def gap_colour(snapshot: Snapshot, index: int) -> str:
-    """Of what shows δ, by the snapshot's place among the others; grey where withheld."""
+    """Colour of a snapshot's δ by its place; grey if withheld."""
     return WITHHELD if snapshot.withheld else look(index).colour
 
 
 def credible_interval(tree: xr.DataTree, draws: FloatArray) -> Interval:
-    """Median and interval of draws at the level and of the kind of this result."""
+    """Median and interval of draws, with the level and kind of this result."""
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
     return interval(draws, level, kind)
 
@@ -66,11 +66,11 @@ def interval_name(tree: xr.DataTree) -> str:
 
 
 Parts = Callable[[xr.DataTree], Iterable[tuple[str, tuple[object, ...]]]]
-"""From a result to the ending of each file's name and what its figure is drawn from."""
+"""From a result to the end of each file's name and what its figure is drawn from."""
 
 
 def each_snapshot(path: str) -> Parts:
-    """One figure per snapshot of the route that holds this; that of a fit has no own name."""
+    """One figure for each snapshot of the route that holds this; that of a fit has no own name."""
 
     def parts(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
         compared = tree.attrs["kind"] == "compare"
@@ -81,28 +81,23 @@ def each_snapshot(path: str) -> Parts:
 
 
 def whole(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
-    """One figure of the whole result."""
+    """One figure for the whole result."""
     yield "", (tree,)
 
 
 @dataclass(frozen=True, slots=True)
 class StoredFigure:
-    """A figure, called like the function that draws it.
+    """A figure, called like the function that draws it."""
 
-    ``name``: of its files, or the beginning of their names. ``caption``: a sentence. ``order``: its
-    place among the figures of a page, smallest first. ``applies``: whether a result holds what it
-    shows, by groups and variables alone.
-    """
-
-    name: str
+    name: str  # of its files, or the beginning of their names
     caption: str
-    order: int
-    applies: Callable[[xr.DataTree], bool]
+    order: int  # place on a page
+    applies: Callable[[xr.DataTree], bool]  # by groups and variables alone
     make: Callable[..., Figure]
     parts: Parts = whole
 
     def __call__(self, *drawn_from: object) -> Figure:
-        """The figure in the style of all, from what ``parts`` gives."""
+        """The figure in the common style."""
         with publication_style():
             return self.make(*drawn_from)
 
@@ -115,7 +110,7 @@ def stored_figure(
     name: str = "",
     parts: Parts = whole,
 ) -> Callable[[Callable[..., Figure]], StoredFigure]:
-    """Make a function a :class:`StoredFigure`, of the function's name unless another is given."""
+    """Make a function a :class:`StoredFigure`, with the function's name unless another is given."""
 
     def declare(make: Callable[..., Figure]) -> StoredFigure:
         own = name or make.__name__
@@ -125,20 +120,14 @@ def stored_figure(
 
 
 def holding(*paths: str) -> Callable[[xr.DataTree], bool]:
-    """Whether a result has groups (``wear``) and variables (``misfit/mean_rpm``).
-
-    At its root, or in one of its routes.
-    """
+    """Condition that a result, or one of its routes, has these groups and variables."""
     return lambda tree: all(
         holds(tree, path) or route_holding(tree, path) is not None for path in paths
     )
 
 
 def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Write every figure that applies to a result into a folder; the files written.
-
-    ``formats``: as of :func:`bayesbl.presentation.figures.style.save`.
-    """
+    """Write every figure that applies into a folder, in these ``formats``; return the files."""
     return [
         path
         for stored, ending, figure in (drawn(tree) if formats else ())
@@ -147,7 +136,7 @@ def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",))
 
 
 def drawn(tree: xr.DataTree) -> Iterator[tuple[StoredFigure, str, Figure]]:
-    """Each figure of a result with the ending of its file's name, in reading order."""
+    """Each figure of a result with the end of its file's name, in reading order."""
     with publication_style():
         for stored in figures_of(tree):
             for ending, drawn_from in stored.parts(tree):

@@ -1,7 +1,7 @@
-"""The look of every figure: widths, colours, places of panels, scales and common marks.
+"""The common style of figures: sizes, colours, margins, scales and marks.
 
-Colours survive greyscale, and the same figure gives the same bytes again. Margins are in inches and
-the same everywhere; no solver has to guess them.
+Colours survive greyscale, and a figure always gives the same bytes. Margins are in inches and the
+same everywhere, so no solver has to find them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ WITHHELD = "#b0b0b0"
 NEUTRAL = "#404040"
 
 GAP = "delta_rad"
-"""Name of the gap among the draws of a posterior."""
+"""Name of the gap in a posterior."""
 
 _RC: Mapping[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -77,7 +77,7 @@ _RC: Mapping[Any, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What distinguishes one of several things of a kind, in colour and in grey."""
+    """What distinguishes one of several similar things, in colour and in grey."""
 
     colour: str
     dashes: str | tuple[float, tuple[float, ...]]
@@ -93,7 +93,7 @@ LOOKS = (
     Look("#e69f00", (0.0, (2.0, 1.0)), "P"),
     Look("#000000", (0.0, (3.0, 1.0, 1.0, 1.0, 1.0, 1.0)), "X"),
 )
-"""Okabe and Ito's palette, which colour-blind readers can tell apart, with dashes and markers."""
+"""Okabe and Ito's palette for colour-blind readers, with dashes and markers."""
 
 
 def look(index: int) -> Look:
@@ -103,7 +103,7 @@ def look(index: int) -> Look:
 
 @contextmanager
 def publication_style() -> Iterator[None]:
-    """All figures are made and saved under these settings; the user's own come back after it."""
+    """Use these settings within the block, whatever the user's own are."""
     with mpl.rc_context():
         mpl.rcdefaults()
         for name, value in _RC.items():
@@ -112,7 +112,7 @@ def publication_style() -> Iterator[None]:
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook shows, whether or not it has a backend of its own."""
+    """A figure that a notebook shows with any backend."""
 
     def _repr_png_(self) -> bytes:
         image = io.BytesIO()
@@ -129,7 +129,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
-    """(a), (b), … above the upper left corner of each panel, and its title behind."""
+    """Write (a), (b), … and a title above each panel."""
     for index, (panel, title) in enumerate(zip(axes, titles, strict=True)):
         # Regular weight: every further font costs 0.15 s per file to be cut down and embedded.
         first, last = divmod(index, 26)
@@ -138,7 +138,7 @@ def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
 
 
 def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
-    """What a panel shows, above all panels."""
+    """Put a panel's legend above all panels."""
     handles, labels = panel.get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=columns)
 
@@ -146,8 +146,8 @@ def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
 def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> list[Path]:
     """Write ``name.pdf``, ``name.png`` or both, each whole or not at all.
 
-    The same figure gives the same bytes at any time. Each file has a title by which
-    :mod:`bayesbl.results.folder` knows it from a user's.
+    A figure always gives the same bytes. The file's title marks it as ours for
+    :mod:`bayesbl.results.folder`.
     """
     files = [folder / f"{name}.{ending}" for ending in formats]
     timeless = {"pdf": {"CreationDate": None}}
@@ -163,7 +163,7 @@ def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> lis
 MOST_COLUMNS = 2
 
 LINE_IN = 0.15
-"""Height of a line of a legend."""
+"""Height of a legend's line."""
 
 
 def grid(
@@ -199,9 +199,9 @@ def grid(
 def one_panel_each(
     count: int, height_in: float, *, above: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel per snapshot, at most two in a row, with shared axes.
+    """A figure with a panel for each snapshot, at most two in a row, with shared axes.
 
-    ``above`` is room for a legend over all of them, in inches.
+    ``above``: room for a legend, in inches.
     """
     columns = min(count, MOST_COLUMNS)
     rows = math.ceil(count / columns)
@@ -218,11 +218,10 @@ def one_panel_each(
 def envelope(
     time: FloatArray, values: FloatArray, bins: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Smallest and largest value in each of at most ``bins`` stretches of equal sample count.
+    """Middle time, minimum and maximum of at most ``bins`` stretches of equal sample count, each
+    (m,).
 
     Neighbouring stretches share a sample, so that the outline has no gaps. NaN is ignored.
-
-    Returns middle time, minimum and maximum of each stretch, each of shape (m,).
     """
     edges = np.unique(np.linspace(0, values.size - 1, min(bins, values.size) + 1).round())
     starts = edges[:-1].astype(int)
@@ -236,27 +235,27 @@ LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 
 
 def reach(interval: Interval, scale: float = 1.0) -> list[list[float]]:
-    """How far an interval reaches below and above its median, as error bars ask for it."""
+    """How far an interval reaches below and above its median, as for error bars."""
     below = interval["median"] - interval["low"]
     above = interval["high"] - interval["median"]
     return [[scale * below], [scale * above]]
 
 
 def band_in_words(curve: xr.Dataset) -> str:
-    """``90 % band ± 0.02 %``: of a curve, at its widest; too narrow to be seen, as a rule."""
+    """``90 % band ± 0.02 %`` at a curve's widest place; it is often too narrow to be seen."""
     reach = 0.5 * (curve["high_rad"].values - curve["low_rad"].values) / curve["delta_rad"].values
     return f"{100.0 * float(curve.attrs['level']):g} % band ± {100.0 * float(reach.max()):.2g} %"
 
 
 def draw_curve(panel: Axes, curve: xr.Dataset, colour: str, label: str, band: str | None) -> None:
-    """A stored gap curve, in mrad over rpm, and its band."""
+    """A stored gap curve with its band, in mrad over rpm."""
     amplitude, low, high = (curve[n].values for n in ("amplitude", "low_rad", "high_rad"))
     panel.fill_between(amplitude, 1e3 * low, 1e3 * high, color="#c8c8c8", linewidth=0.0, label=band)
     panel.plot(amplitude, 1e3 * curve["delta_rad"].values, color=colour, label=label)
 
 
 def limit_line(panel: Axes, tree: xr.DataTree) -> None:
-    """The limit across a panel whose vertical axis is the gap in mrad, if there is one."""
+    """Draw the limit, if there is one, across a panel of gaps in mrad."""
     if "limit_rad" in tree.attrs:
         limit = 1e3 * float(tree.attrs["limit_rad"])
         panel.axhline(
@@ -269,12 +268,12 @@ def limit_line(panel: Axes, tree: xr.DataTree) -> None:
 
 
 def shade(panel: Axes, start: float, end: float) -> None:
-    """A stretch of the horizontal axis on a tinted ground."""
+    """Shade a stretch of the horizontal axis."""
     panel.axvspan(start, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
 
 
 def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
-    """A logarithmic axis with ``steps`` of each decade written out, never as powers of ten."""
+    """Make an axis logarithmic, with ``steps`` of each decade as plain numbers."""
     name = "x" if isinstance(axis, XAxis) else "y"
     axis.axes.set(**{f"{name}scale": "log"})
     axis.set_major_locator(FixedLocator([m * 10.0**k for k in range(-6, 7) for m in steps]))

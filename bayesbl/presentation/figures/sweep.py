@@ -1,4 +1,4 @@
-"""A sweep: its curve, polynomials of other degrees, the bench's tolerances, the ringing itself."""
+"""Figures of a sweep: its curve, the tolerances of the bench, and the ringing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
 _PAPER = "#d55e00"
 _WIDE_SOURCES = ("bench",)
-"""Sources of another order of magnitude than the sweep's own: drawn at the scale of eq. 4."""
+"""Sources far larger than the sweep's own; drawn at the scale of eq. 4."""
 
 _POINTS: Mapping[str, Any] = {
     "color": style.NEUTRAL,
@@ -47,7 +47,7 @@ _FILLS: Mapping[str, str] = {
     holding("curve", "sweep"),
 )
 def curve(tree: xr.DataTree) -> Figure:
-    """δ on A, and relative departures from the curve: the sweep's, wide sources', eq. 4's."""
+    """δ over A, and relative deviations from the curve: sweep, wide sources, eq. 4."""
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 3.7)
     outer = style.grid(figure, 1, 2, between=(0.0, 0.7), widths=(1.0, 1.0))
     whole = figure.add_subplot(outer[0, 0])
@@ -79,16 +79,14 @@ def curve(tree: xr.DataTree) -> Figure:
 
 
 def _values(tree: xr.DataTree, path: str) -> FloatArray:
-    """A variable or coordinate of numbers, ``curve/amplitude``, in its own shape and units."""
+    """A numeric variable (``curve/amplitude``) in its own shape and unit."""
     group, _, variable = path.partition("/")
     return np.asarray(tree[group].to_dataset()[variable].values, dtype=float)
 
 
 def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Relative bounds of δ by each stored source alone, at the level of the curve's band.
-
-    Returns source to lower and upper bound at the knots, each (g,), in percent of the curve.
-    """
+    """Lower and upper bound of δ by each source alone, each (g,), in percent of the curve at its
+    knots."""
     stored = tree["curve"].to_dataset()
     level = float(stored.attrs["level"])
     edges = (0.5 - 0.5 * level, 0.5 + 0.5 * level)
@@ -101,7 +99,7 @@ def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
 
 
 def departures_from_curve(tree: xr.DataTree) -> FloatArray:
-    """δ of every sweep point over that of the curve at its amplitude, (g, s), in percent."""
+    """δ of every sweep point over the curve at its amplitude, (g, s), in percent."""
     sweep, stored = tree["sweep"].to_dataset(), tree["curve"].to_dataset()
     nominal = curve_from_dataset(stored, "").gap(sweep["amplitude_rpm"].values)
     return np.asarray(100.0 * (sweep["gap_rad"].values[:, None] / nominal - 1.0))
@@ -134,7 +132,7 @@ def _kind(tree: xr.DataTree) -> str:
 
 
 def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
-    """Amplitudes of the stored curve that eq. 4 was made for, and its δ there in rad."""
+    """Amplitudes of the curve for which eq. 4 was made, and its δ there in rad."""
     amplitude = _values(tree, "curve/amplitude")
     eq4 = published_curve(draws=1)
     inside = amplitude[eq4.outside(amplitude) == 0.0]
@@ -142,7 +140,7 @@ def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
 
 
 def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
-    """Sources that are wide beside the sweep's own, and eq. 4 where it is of this bench."""
+    """Wide sources, and eq. 4 if it belongs to this bench."""
     knots = _values(tree, "curve/knots_rpm")
     for source, (low, high) in source_bands(tree).items():
         if source in _WIDE_SOURCES:
@@ -160,7 +158,8 @@ def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
 
 
 def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
-    """Sweep points with their start-angle scatter, the polynomial alone, the narrow sources."""
+    """Sweep points with the scatter of their start angles, the polynomial alone, the narrow
+    sources."""
     stored, sweep = tree["curve"].to_dataset(), tree["sweep"].to_dataset()
     knots = stored["knots_rpm"].values
     bands = {k: v for k, v in source_bands(tree).items() if k not in _WIDE_SOURCES}
@@ -203,7 +202,7 @@ def _draw_band(
     holding("examples", "sweep"),
 )
 def disturbance(tree: xr.DataTree) -> Figure:
-    """Noise-free speed at some gaps over one load rotation; both pulses from nearby."""
+    """Noise-free speed at some gaps over one load rotation, with both pulses enlarged."""
     names = ("time_s", "motor_speed_rpm", "gap_rad")
     time, speeds, gaps = (_values(tree, f"examples/{name}") for name in names)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.6)
@@ -236,9 +235,10 @@ def disturbance(tree: xr.DataTree) -> Figure:
 
 
 def pulse_view(tree: xr.DataTree) -> tuple[float, float]:
-    """Start relative to a pulse's first peak, and length, of a view that holds it; s.
+    """Start (relative to a pulse's first peak) and length, in s, of a view of the pulse.
 
-    Long enough for the ringing of the largest gap to fall to 5 %, and almost two periods before it.
+    It begins almost two periods before, and ends when the ringing of the largest gap has fallen to
+    5 %.
     """
     period = 2.0 * np.pi / float(_values(tree, f"sweep/{FREQUENCY}")[-1].mean())
     ringing = 3.0 / float(_values(tree, f"sweep/{DECAY}")[-1].mean())
@@ -246,6 +246,6 @@ def pulse_view(tree: xr.DataTree) -> tuple[float, float]:
 
 
 def colours(count: int) -> list[tuple[float, float, float, float]]:
-    """From light to dark with the gap, in grey too."""
+    """Colours from light to dark with the gap, in grey too."""
     shades = mpl.colormaps["viridis_r"](np.linspace(0.18, 1.0, count))
     return [(float(r), float(g), float(b), float(a)) for r, g, b, a in shades]

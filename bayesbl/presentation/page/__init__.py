@@ -1,1 +1,1 @@
-"""One self-contained HTML page per result."""
+"""Self-contained HTML pages of results."""

@@ -1,4 +1,4 @@
-"""The page of a result: the answer first, then everything that it rests on."""
+"""The page of a result: the answer first, then all that it rests on."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ TITLES = {
     "plan": "Motions that would show the gap",
     "study": "Study",
 }
-"""Of the page of each kind of result; a fleet has pages of its own."""
+"""Title of the page by kind of result; a fleet has pages of its own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure as the page holds it: no file beside it is needed."""
+    """A figure embedded in the page."""
 
     caption: str
     address: str
@@ -70,18 +70,18 @@ def write_page(result: str | Path) -> Path:
 
 
 def write_page_of(tree: xr.DataTree, path: Path, figures: Path | None = None) -> Path:
-    """Write the page of a result; ``figures``: the folder of them, if it is stored."""
+    """Write the page of a result; ``figures``: the folder of its stored figures."""
     write_text(page(tree, list(_pictures(tree, figures))), path)
     return path
 
 
 def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
-    """The page as HTML; every text that a user may have given is escaped."""
+    """The page as HTML; every text from a user is escaped."""
     return templates().get_template("page.html").render(**_content(tree, pictures))
 
 
 def fragment(headline: str, blocks: Sequence[Block]) -> str:
-    """The answer as a piece of HTML without a style of its own, for a notebook."""
+    """The answer as HTML without a style, for a notebook."""
     macros: Any = templates().get_template("blocks.html").module
     return f"<p><strong>{prose(headline)}</strong></p>{macros.blocks(blocks)}"
 
@@ -106,7 +106,7 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
 
 
 def _pictures(tree: xr.DataTree, stored: Path | None) -> Iterator[Picture]:
-    """Every figure, drawn anew; a study's own, which only its file can draw, as it was stored."""
+    """Every figure, drawn anew; a study's figure as stored, because only its file can draw it."""
     if tree.attrs["kind"] == "study":
         for file in sorted(stored.glob("*.png")) if stored else ():
             yield _picture(f"{file.stem}.", file.read_bytes())
@@ -125,7 +125,7 @@ def _picture(caption: str, png: bytes) -> Picture:
 
 
 def templates(*sheets: str) -> Environment:
-    """The templates by name; pages are in the common style, and in these sheets after it."""
+    """The templates; pages use the common style and these sheets."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("bayesbl.presentation.page", ".")
@@ -144,13 +144,13 @@ def templates(*sheets: str) -> Environment:
 
 
 def source(environment: Environment, name: str) -> str:
-    """A file beside the templates, as it is."""
+    """A file beside the templates, unchanged."""
     assert environment.loader is not None
     return environment.loader.get_source(environment, name)[0]
 
 
 def prose(sentence: str) -> Markup:
-    """A sentence as HTML: commands as code, no break inside a quantity or an option."""
+    """A sentence as HTML: commands as code, no line break inside a quantity or an option."""
     text = html.escape(words.glued(sentence), quote=False)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
     return Markup(re.sub(r"(?<![\w-])--[a-z][\w-]*", r'<span class="option">\g<0></span>', text))

@@ -1,7 +1,6 @@
 """The pages of a plant: all joints, the most urgent first, and one page for each.
 
-They are made of the tables and the summary of a fleet alone, are static, and need nothing beside
-them: no server, no network.
+They are made from the tables and the summary of a fleet, are static, and need no server or network.
 """
 
 from __future__ import annotations
@@ -40,10 +39,9 @@ if TYPE_CHECKING:
 
 
 def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False) -> Markup | str:
-    """Medians with the band of their intervals, and the limit; nothing without a gap.
+    """Medians with the band of their intervals and the limit as SVG; empty without a gap.
 
-    ``axes``: large, with scales and a bar for each recording. That of the gap starts at 0, as
-    shares are compared.
+    ``axes``: large, with scales and a bar for each recording, starting at 0.
     """
     from markupsafe import Markup
     from matplotlib.ticker import MaxNLocator
@@ -99,7 +97,7 @@ def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False)
 
 
 def write_pages(folder: Path) -> list[Path]:
-    """``index.html`` and ``joints/<joint>.html`` from what stands in a fleet's folder."""
+    """Write ``index.html`` and ``joints/<joint>.html`` from the tables in a fleet's folder."""
     import pyarrow.parquet
 
     summary = json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8"))

@@ -32,7 +32,7 @@ class Format:
     library: str = ""  # optional library to import
     # Bytes at a position, of which a file must have one to be parsed and quoted; none for text.
     signatures: tuple[tuple[int, bytes], ...] = ()
-    # Places of a file that belongs to it, from its folder; the bytes of the first come with its own.
+    # Places of a file that belongs to it, seen from its folder; the first one is read with it.
     beside: tuple[str, ...] = ()
 
     def is_begun_by(self, data: bytes) -> bool:

@@ -1,4 +1,4 @@
-"""JSON as a table: records, lists by name, rows of a matrix, or a record a line.
+"""JSON as a table: records, named lists, rows of a matrix, or one record on each line.
 
 ::
 
@@ -6,7 +6,7 @@
     {"log": {"t": [0.0, …], "q": [[1.0, 2.0], …]}}  log/t, log/q[0], log/q[1]
     {"data": [[0.0, 1.0], …]}                       data[0], data[1]
 
-Of several tables in a file the longest is read.
+The longest table of a file is read.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 
 def _names_of_elements(info: bytes) -> dict[str, list[str]]:
-    """Names of the elements of each list, as LeRobot states them: a list, or a list in an object."""
+    """Names of the elements of each list by LeRobot: a list, or a list in an object."""
     try:
         stated = json.loads(info)
     except ValueError:
