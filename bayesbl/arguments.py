@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-Arrays = dict[str, "NDArray[Any]"]
-"""Columns by name, of a recording in memory."""
+Arrays = dict[str, "NDArray[Any]"]  # columns by name, of a recording in memory
 
 
 @dataclass(frozen=True, slots=True)

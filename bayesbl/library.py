@@ -316,10 +316,7 @@ def write_page(result: File) -> Path:
 
 @checked
 def draw(
-    tree: Tree,
-    folder: Path,
-    formats: Formats = ("png",),
-    study: Path | None = None,
+    tree: Tree, folder: Path, formats: Formats = ("png",), study: Path | None = None
 ) -> list[Path]:
     """Write every figure of a result of any kind into a folder; the files written.
 

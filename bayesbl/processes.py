@@ -24,8 +24,7 @@ _THREADS = (
     "NUMBA_NUM_THREADS",
 )
 
-_WORKER = ExitStack()
-"""Contexts that a worker is in for its whole life."""
+_WORKER = ExitStack()  # contexts that a worker is in for its whole life
 
 
 @contextmanager

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-Progress = Callable[[int, int], None]
-"""Called with (steps done, steps allowed)."""
-
-StageProgress = Callable[[str, int, int], None]
-"""Called with (stage, steps done, steps allowed)."""
+Progress = Callable[[int, int], None]  # called with (steps done, steps allowed)
+StageProgress = Callable[[str, int, int], None]  # called with (stage, steps done, steps allowed)
 
 
 def silent(made: int, allowed: int) -> None:

@@ -10,11 +10,8 @@ import math
 import re
 from collections.abc import Mapping
 
-RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)
-"""Revolutions per minute in one radian per second."""
-
-STANDARD_GRAVITY = 9.80665
-"""m/s², by definition (third CGPM, 1901)."""
+RPM_PER_RAD_PER_S = 60.0 / (2.0 * math.pi)  # revolutions per minute in one radian per second
+STANDARD_GRAVITY = 9.80665  # m/s², by definition (third CGPM, 1901)
 
 # dimension -> unit -> factor to the first unit of that dimension
 _FACTORS: dict[str, dict[str, float]] = {

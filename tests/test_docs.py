@@ -92,7 +92,7 @@ def constants_of_the_package() -> dict[str, set[float]]:
     constants: dict[str, set[float]] = {}
     for file in (ROOT / "bayesbl").rglob("*.py"):
         text = file.read_text(encoding="utf-8")
-        for names, values in re.findall(r"^([A-Z][A-Z_, ]*) = (.+)$", text, re.M):
+        for names, values in re.findall(r"^([A-Z][A-Z_, ]*) = (.+?)(?:  #.*)?$", text, re.M):
             for name, value in zip(names.split(", "), values.split(", "), strict=False):
                 number = {float(value)} if re.fullmatch(r"[\d_.e-]+", value) else set()
                 for key in (name, f"{file.stem}.{name}"):

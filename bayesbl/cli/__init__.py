@@ -19,11 +19,8 @@ from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
 
-_UsageError: Any = typer.BadParameter.__bases__[0]
-"""click's, or that of typer's own copy of click."""
-
-INTERRUPTED = 130
-"""Status with which typer ends after Ctrl-C."""
+_UsageError: Any = typer.BadParameter.__bases__[0]  # click's, or that of typer's own copy of click
+INTERRUPTED = 130  # status with which typer ends after Ctrl-C
 
 app = typer.Typer(
     help="The backlash gap of a robot joint, and how it changed, from recordings of motor speed.",

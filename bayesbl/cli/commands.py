@@ -378,8 +378,7 @@ def compare_command(
         Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
     ],
     later: Annotated[
-        list[Path],
-        typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order."),
+        list[Path], typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order.")
     ],
     **given: Any,
 ) -> None:
@@ -411,8 +410,7 @@ _WATCHED = "_watched"
 @_takes("out publish credentials once settled_s")
 def watch_command(
     folder: Annotated[
-        Path,
-        typer.Argument(metavar="FOLDER", help="Folder where recordings appear."),
+        Path, typer.Argument(metavar="FOLDER", help="Folder where recordings appear.")
     ],
     config: Annotated[Path, typer.Option(metavar="CONFIG", help="Configuration of the fleet.")],
     **given: Any,

@@ -221,8 +221,7 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
 _Model = TypeVar("_Model", bound=Section)
 _Tables = dict[str, Any]
 
-DEEPEST = 30
-"""Largest depth of tables and lists in a file; the package writes seven at most."""
+DEEPEST = 30  # largest depth of tables and lists in a file; the package writes seven at most
 
 
 @dataclass(frozen=True, slots=True)

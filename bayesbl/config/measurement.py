@@ -136,8 +136,7 @@ class Limit(Section):
         return conversion_factor("_rad", self.unit) if self.at_m is None else 1e-3 / self.at_m
 
 
-LARGEST_LIMIT_RAD = 0.05
-"""Nearly 3°, more than any joint whose gap its ringing can show."""
+LARGEST_LIMIT_RAD = 0.05  # Nearly 3°, more than any joint whose gap its ringing can show
 
 
 def _a_gap(limit_rad: float) -> float:
@@ -238,8 +237,7 @@ class Noise(Section):
             )
 
 
-WITHOUT_BENCH = ("torque_ramp", "two_encoders")
-"""Routes that need only recordings."""
+WITHOUT_BENCH = ("torque_ramp", "two_encoders")  # routes that need only recordings
 
 
 class Estimator(Section):

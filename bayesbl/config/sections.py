@@ -53,17 +53,13 @@ from bayesbl.ringing.symbols import (
 )
 from bayesbl.units import choice_of_units, is_accepted, spelled
 
-RESULT_FILE = "result.nc"
-"""Name of a result in its output folder."""
+RESULT_FILE = "result.nc"  # name of a result in its output folder
 
 BASE_DIRECTORY = "base_directory"
 """Key of the validation context: the folder that relative paths start from."""
 
-LONGEST_NAME = 60
-"""Letters in the name of a recording."""
-
-PUBLISHED = "published"
-"""The curve of the paper's eq. 4."""
+LONGEST_NAME = 60  # letters in the name of a recording
+PUBLISHED = "published"  # the curve of the paper's eq. 4.
 
 
 def refuse(
@@ -126,8 +122,7 @@ def _result_file(value: object, info: ValidationInfo) -> Path:
 
 
 T = TypeVar("T")
-Items = Annotated[tuple[T, ...], Strict(False)]
-"""A list of the file as a tuple."""
+Items = Annotated[tuple[T, ...], Strict(False)]  # A list of the file as a tuple
 
 
 def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -196,8 +191,7 @@ def column_entry(value: object) -> object:
 OutputPath = Annotated[Path, BeforeValidator(_output_path)]
 InputPath = Annotated[Path, BeforeValidator(_input_path)]
 CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
-ResultFile = Annotated[Path, BeforeValidator(_result_file)]
-"""A ``result.nc``, or its output folder."""
+ResultFile = Annotated[Path, BeforeValidator(_result_file)]  # A ``result.nc``, or its output folder
 BenchSource = ResultFile
 """A bench file, or the result of an identification: its folder or ``result.nc``."""
 Range = Annotated[tuple[float, float], Strict(False), AfterValidator(_increasing)]
@@ -436,5 +430,4 @@ def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
     return angles
 
 
-SHORTEST_WAY_RAD = 1e-3
-"""Shortest motion of the load."""
+SHORTEST_WAY_RAD = 1e-3  # shortest motion of the load

@@ -36,8 +36,7 @@ PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
-FIRST_WAIT_S, LONGEST_WAIT_S = 1, 120
-"""Wait between attempts to reach a broker; doubled each time."""
+FIRST_WAIT_S, LONGEST_WAIT_S = 1, 120  # wait between attempts to reach a broker; doubled each time
 
 _EXPECTED = "mqtts://broker/topic, or mqtts://broker:8883/plant/cell4"
 _CLIENT = "client"
@@ -222,11 +221,8 @@ class OnlyOnce:
 NOBODY_LISTENS = 16
 """MQTT 5's reason code if no client, present or away, has subscribed to the topic."""
 
-EXPIRES_S = 7 * 24 * 3600
-"""After this time, a broker may forget an answer."""
-
-SEND_ALL_AFTER_S = float(EXPIRES_S)
-"""After this time, a device sends all of its answers again."""
+EXPIRES_S = 7 * 24 * 3600  # after this time, a broker may forget an answer
+SEND_ALL_AFTER_S = float(EXPIRES_S)  # after this time, a device sends all of its answers again
 
 _SENT = "sent.json"
 
@@ -240,11 +236,7 @@ class Sender:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        address: Address,
-        credentials: Credentials,
-        say: Callable[[str], None],
+        self, folder: Path, address: Address, credentials: Credentials, say: Callable[[str], None]
     ) -> None:
         self._file, self._device = folder / _SENT, stays_known_by(folder)
         self._address, self._say = address, OnlyOnce(say)

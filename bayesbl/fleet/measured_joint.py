@@ -391,11 +391,7 @@ def _by_curve(job: JointJob, used: Sequence[int]) -> JointAnswer:
 
 
 def _of_group(
-    group: xr.Dataset | None,
-    against: str | None,
-    route: str,
-    used: Sequence[int],
-    gaps: FloatArray,
+    group: xr.Dataset | None, against: str | None, route: str, used: Sequence[int], gaps: FloatArray
 ) -> JointAnswer:
     reason = OTHER_JOINT if group is None else against
     wear = None if group is None or reason is not None else WearDraws.of(group)

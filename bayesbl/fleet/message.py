@@ -20,8 +20,7 @@ from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 
 SCHEMA = 2
 
-LARGEST_MESSAGE_BYTES = 1_000_000
-"""An answer takes about 1,200 bytes."""
+LARGEST_MESSAGE_BYTES = 1_000_000  # an answer takes about 1,200 bytes
 
 LONGEST_TEXT = 10_000
 
@@ -31,10 +30,7 @@ OUTCOMES = ("converged", "usable", "withheld", "no_curve", "refused", "failed")
 
 _DEVICE = re.compile(r"[A-Za-z0-9._-]{1,100}")
 
-_GAP = (
-    *(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")),
-    *QUANTILE_COLUMNS,
-)
+_GAP = (*(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")), *QUANTILE_COLUMNS)
 _AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
 
 

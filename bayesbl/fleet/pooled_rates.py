@@ -36,8 +36,7 @@ from numpy.typing import NDArray
 from bayesbl.measurement.wear import KINDS, SCATTER, WearDraws, by_law
 from bayesbl.recording.types import FloatArray
 
-FEWEST_JOINTS = 3
-"""Fewest joints of a type: the spread of two rates is mostly its prior."""
+FEWEST_JOINTS = 3  # fewest joints of a type: the spread of two rates is mostly its prior
 
 BELIEF = 6.0
 """Number of joints that the prior of the laws counts as. With less, joints that show little of
@@ -51,18 +50,14 @@ JUMP_SPREAD = (2.0, 4.0)
 """Range of t: joints share the order of magnitude of their jumps, or, at 4, no more than the prior
 of a single joint."""
 
-FALSE_CALLS = 0.05
-"""Expected share of false calls among the joints called over their limit."""
+FALSE_CALLS = 0.05  # expected share of false calls among the joints called over their limit
 
 OWN_RATE = 3.0
 """Scale of the rates of joints that wear in their own way, relative to the type's median."""
 
 BURN_IN, SWEEPS = 200, 800
-HYPER_DRAWS = 100
-"""Draws of the type by which joints are weighted: every eighth sweep."""
-
-DRAWS_A_SWEEP = 400
-"""Draws of each joint from which a sweep chooses; all are weighted at the end."""
+HYPER_DRAWS = 100  # draws of the type by which joints are weighted: every eighth sweep
+DRAWS_A_SWEEP = 400  # draws of each joint from which a sweep chooses; all are weighted at the end
 
 FEWEST_EFFECTIVE = 100.0
 """Fewest effective draws; below, a joint stays alone, because the level of its 90 % interval would
@@ -70,8 +65,7 @@ be uncertain by 3 %, √(p (1 − p)/n)."""
 
 _PRIOR = np.array([kind.probability for kind in KINDS])
 
-_SLOPE = 1.0
-"""Standard deviation of the normal prior of β."""
+_SLOPE = 1.0  # standard deviation of the normal prior of β
 
 _FAR = 3.0
 """Standard deviation of the normal priors of μ and m around the middle of all joints: nearly

@@ -25,15 +25,13 @@ from bayesbl.matching.signals import SMALLEST_GAP_RAD, Unknown
 from bayesbl.probabilities import chi2_sf
 from bayesbl.recording.types import FloatArray
 
-FALSE_ALARM = 0.01
-"""Probability that a recording of one joint seems to need another bench."""
+FALSE_ALARM = 0.01  # probability that a recording of one joint seems to need another bench
 
 LEARNT = 0.5
 """Share of the prior's variance below which a recording determines a direction of z. At half, the
 prior, which all recordings share, is half of what is compared."""
 
-BEYOND_CHANCE = 3.0
-"""Standard deviations of the variance of finitely many draws."""
+BEYOND_CHANCE = 3.0  # standard deviations of the variance of finitely many draws
 
 _EDGE = 1e-4
 """Shares of a flat prior beyond which draws count as at its edge (3.7 standard deviations)."""

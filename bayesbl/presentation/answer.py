@@ -38,8 +38,7 @@ RINGING_EXPLAINED = (
 
 OTHER_MACHINE = "If this joint were the paper's test bench, at an assumed 2000 rpm"
 
-DISAGREE = "routes_disagree"
-"""Code of the reason that two routes give different answers."""
+DISAGREE = "routes_disagree"  # code of the reason that two routes give different answers
 
 SHRANK = (
     "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "

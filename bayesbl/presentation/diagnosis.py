@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 
-MOST_RIVALS = 2
-"""Largest number of rivals that a headline names."""
+MOST_RIVALS = 2  # largest number of rivals that a headline names
 
 UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to state a share."
 

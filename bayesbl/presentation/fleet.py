@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
     from bayesbl.runs.fleet import FleetSummary
 
-Row = Mapping[str, Any]
-"""A row of a table of the fleet, or its summary."""
+Row = Mapping[str, Any]  # A row of a table of the fleet, or its summary
 
 _SHOWN = 10
 

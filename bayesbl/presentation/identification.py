@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     )
     from bayesbl.identification.next_recording import NextRecordingSummary
 
-LITTLE = 0.1
-"""A parameter of which less is learned is no better known than from its data sheet."""
+LITTLE = 0.1  # A parameter of which less is learned is no better known than from its data sheet
 
 
 def headline(summary: IdentificationSummary) -> str:

@@ -26,19 +26,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-_STYLES = {
-    "": "",
-    "answer": "bold",
-    "withheld": "bold yellow",
-    "aside": "dim",
-    "warning": "yellow",
-}
+_STYLES = {"": "", "answer": "bold", "withheld": "bold yellow", "aside": "dim", "warning": "yellow"}
 
-_BETWEEN = 2
-"""Space between two columns of a table."""
-
-_NARROWEST_NAME = 12
-"""Width to which the first column of a table may be folded."""
+_BETWEEN = 2  # space between two columns of a table
+_NARROWEST_NAME = 12  # width to which the first column of a table may be folded
 
 _INDENT = "  "
 
@@ -170,8 +161,7 @@ def _print_row_by_row(table: Table, console: Console) -> None:
             console.print(Text(_INDENT + line), soft_wrap=True)
 
 
-SILENT_S = 2.0
-"""Longest initial silence in a log."""
+SILENT_S = 2.0  # longest initial silence in a log
 
 SILENT_SHARE = 0.1
 """Share of the elapsed time to which a silence grows, so that a day's log has a hundred lines."""

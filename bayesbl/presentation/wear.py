@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 
-MOST_TOLD = 3
-"""Largest number of blind spots printed; all are stored."""
+MOST_TOLD = 3  # largest number of blind spots printed; all are stored
 
 
 def other_cause(summary: ComparisonSummary) -> str | None:
@@ -112,11 +111,7 @@ MODEL = (
     "in which the gap shrinks are left out of both, so neither is evidence of wear."
 )
 
-LAWS = {
-    "slowing": "slowing down",
-    "steady": "steady",
-    "speeding_up": "speeding up",
-}
+LAWS = {"slowing": "slowing down", "steady": "steady", "speeding_up": "speeding up"}
 """The laws of :data:`bayesbl.measurement.wear.KINDS` in words."""
 
 _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")

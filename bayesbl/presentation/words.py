@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import RouteSummary
     from bayesbl.results.intervals import Interval
 
-RAREST = 1e-3
-"""Thousands of draws cannot show probabilities closer to 0 or 1."""
+RAREST = 1e-3  # thousands of draws cannot show probabilities closer to 0 or 1
 
 SURE = 0.95
 """Probability from which something counts as shown; below 1 minus this, its opposite does."""

@@ -240,8 +240,7 @@ def seconds_of_calendar(times: NDArray[np.datetime64]) -> FloatArray:
 
 AnyArray = NDArray[Any]
 
-LONGEST_TEXT = 60
-"""Letters kept of a text cell: dates are shorter, and messages quote less."""
+LONGEST_TEXT = 60  # letters kept of a text cell: dates are shorter, and messages quote less
 
 
 @dataclass(frozen=True, slots=True)
@@ -459,11 +458,7 @@ def is_called_time(name: str) -> bool:
 
 
 def table_of_groups(
-    file: Path,
-    groups: Sequence[Group],
-    *,
-    always_prefixed: bool = False,
-    one_origin: bool = False,
+    file: Path, groups: Sequence[Group], *, always_prefixed: bool = False, one_origin: bool = False
 ) -> ArrayTable:
     """All columns of all groups, each with the clock of its group (``time``, or a column called
     time).

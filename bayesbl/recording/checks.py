@@ -41,29 +41,25 @@ BLOCKS_COMPARED = 4
 LARGEST_DEPARTURE = 0.2
 SMALLEST_STEP = 0.02
 STEP_OVER_SCATTER = 6.0
-MOST_STRETCHES = 6
-"""Constants of :func:`require_one_speed`."""
+MOST_STRETCHES = 6  # this and those above: of :func:`require_one_speed`
 
 LARGEST_CURRENT = 2.0
 """Multiple of the bench's limit: peak and RMS values differ by √2, wrong units by far more."""
 
-STANDSTILL_RPM = 1.0
-"""A slower motor would take minutes for one rotation even without a gear."""
+STANDSTILL_RPM = 1.0  # A slower motor would take minutes for one rotation even without a gear
 
 LARGEST_DRIFT = 0.01
 DRIFT_OVER_SCATTER = 3.0
 """Constants of :func:`require_no_drift`; the load angle's effect on the speed is below both."""
 
-UNIT_AGREEMENT = 0.02
-"""Relative difference below which another unit is the likely one."""
+UNIT_AGREEMENT = 0.02  # relative difference below which another unit is the likely one
 
 WHAT_A_MOTION_NEEDS = (
     "what the controller was asked for over time, as a column reference_speed_rpm or "
     "reference_position_rad of the motor, and a bench"
 )
 
-CONSTANT_RANGE = 1e-6
-"""A signal that varies by a smaller share of its size is constant."""
+CONSTANT_RANGE = 1e-6  # A signal that varies by a smaller share of its size is constant
 
 
 def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Recording:
@@ -491,11 +487,8 @@ VARIES = 0.05
 """A reference speed whose range is a larger share of its maximum is a motion. A smaller variation
 passes for one speed; a fit of one speed refuses hardly less."""
 
-PARTS = 8
-"""Number of parts of a recording whose mean speeds are compared."""
-
-AT_REST = 1e-3
-"""Share of its maximum below which a reference speed is a rest."""
+PARTS = 8  # number of parts of a recording whose mean speeds are compared
+AT_REST = 1e-3  # share of its maximum below which a reference speed is a rest
 
 DIFFERENT = 0.25
 """A reference has changed at the lag at which its squared difference over its power exceeds this; a

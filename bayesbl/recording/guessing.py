@@ -56,8 +56,7 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 )
 """Words (in small letters) that files use for each channel."""
 
-_TURNS_BY_MINUTE = "drehzahl"
-"""Words that imply rpm."""
+_TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
 
 _REFERENCE = (
     "ref reference set setpoint cmd command target desired demand nominal soll sp goal "
@@ -77,11 +76,8 @@ _ELECTRICAL = "electrical electric elec el elektrisch elektrische"
 
 _FILTERED = "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt"
 _CLOCKS = "ms us ns msec usec millis micros"
-_SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"
-"""Names of the groups of one joint's columns."""
-
-_LOAD_TORQUE = "load torque"
-"""No channel: for ramps, the torque at the output replaces the motor's."""
+_SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"  # names of the groups of one joint's columns
+_LOAD_TORQUE = "load torque"  # no channel: for ramps, the torque at the output replaces the motor's
 
 _FEWEST_JOINTS = 3
 """Similar names with different numbers that make joints. Two may be both sides of one joint, except
@@ -99,15 +95,11 @@ _STEMS = frozenset(
 )
 """Words that compounds are made of."""
 
-NO_UNIT = "no unit found: check it"
-"""Reason for a unit that nothing in the file supports."""
-
-BY_ROS = "ROS logs in SI units (REP 103)"
-"""Reason for the unit of a column named by a topic's path."""
+NO_UNIT = "no unit found: check it"  # reason for a unit that nothing in the file supports
+BY_ROS = "ROS logs in SI units (REP 103)"  # reason for the unit of a column named by a topic's path
 
 _SI = {MOTOR_SPEED: "rad/s", MOTOR_POSITION: "rad", LOAD_POSITION: "rad", MOTOR_TORQUE: "N m"}
-_TOPIC = re.compile(r"/\w+/|field\.")
-"""Start of column names by PlotJuggler and ``rostopic``."""
+_TOPIC = re.compile(r"/\w+/|field\.")  # start of column names by PlotJuggler and ``rostopic``
 
 AS_SPEED = "as the speed: check it"
 """Reason for the unit of a reference that states none; it nearly always has the speed's."""
@@ -130,12 +122,10 @@ BEHIND = (
 OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
 """Question about a ramp's torque measured at the other side of the gear."""
 
-UNKNOWN = "?"
-"""Placeholder for an unknown unit or name; the configuration does not run with it."""
+UNKNOWN = "?"  # placeholder for an unknown unit or name; the configuration does not run with it
 
 _USUAL_RATES_HZ = (10.0, 5e4)
-_THESE_YEARS = (631152000.0, 4102444800.0)
-"""1990 to 2100 in seconds since 1970."""
+_THESE_YEARS = (631152000.0, 4102444800.0)  # 1990 to 2100 in seconds since 1970
 
 _STARTS: Mapping[str, tuple[float, ...]] = MappingProxyType(
     {
@@ -157,17 +147,10 @@ _SIDES_ALIKE = 2.5
 """Largest ratio between the largest torques of both directions of ramps to and fro."""
 
 _STANDSTILL_RPM = 1.0
-_TURNS_BACK = 1.5
-"""Path over distance of a motor that moves to and fro."""
-
-_FOLLOWS = 0.5
-"""Share of a position's variance that another position of the same joint explains."""
-
-_IS_INTEGRAL = 0.95
-"""The same share for a position and the integral of its speed."""
-
-_AGREEMENT = 0.02
-"""Relative difference within which speed and position belong together."""
+_TURNS_BACK = 1.5  # path over distance of a motor that moves to and fro
+_FOLLOWS = 0.5  # share of a position's variance that another position of the same joint explains
+_IS_INTEGRAL = 0.95  # the same share for a position and the integral of its speed
+_AGREEMENT = 0.02  # relative difference within which speed and position belong together
 
 
 @dataclass(frozen=True, slots=True)
@@ -595,9 +578,7 @@ def _of_sides(
 
 
 def _of_motor(
-    columns: Sequence[GuessedColumn],
-    chosen: Mapping[str, _Named],
-    values: Mapping[str, FloatArray],
+    columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> list[GuessedColumn]:
     """The speed is needed, or else the position. A speed that is slow for a motor is doubted: ROS
     logs that of the joint. The unit of an axis is asked for."""

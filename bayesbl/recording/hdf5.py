@@ -24,10 +24,7 @@ in a folder and runs them."""
 _DEEPEST = 32
 
 
-def require_whole(
-    content: bytes | Path,
-    refusal: Callable[..., Exception],
-) -> float:
+def require_whole(content: bytes | Path, refusal: Callable[..., Exception]) -> float:
     """Number of bytes that reading the file takes, by the sizes that it declares.
 
     Each dataset counts with all its values, or one chunk if that is larger, as either is allocated

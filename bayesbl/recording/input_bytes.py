@@ -16,8 +16,7 @@ from bayesbl.recording.channels import did_you_mean_file
 LIMIT_VARIABLE = "BAYESBL_RECORDING_MEMORY_MB"
 """Environment variable that replaces :data:`MEMORY_MB`, for all formats."""
 
-MEMORY_MB = 2000.0
-"""Memory that reading one recording may take: its bytes, and what they unpack to."""
+MEMORY_MB = 2000.0  # memory that reading one recording may take: its bytes, and what they unpack to
 
 PACKED = ".gz"
 

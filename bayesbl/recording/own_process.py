@@ -28,11 +28,8 @@ from bayesbl.recording.input_bytes import beyond_memory, memory_bytes, require_m
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
 
-LONGEST_S = 120.0
-"""Longest time to parse a file. A workbook of a million lines takes a minute."""
-
-SPARE_MB = 700.0
-"""Memory for the libraries themselves, on top of the limit."""
+LONGEST_S = 120.0  # longest time to parse a file. A workbook of a million lines takes a minute.
+SPARE_MB = 700.0  # memory for the libraries themselves, on top of the limit
 
 _PROGRAM = (
     "import json, sys; request = json.loads(sys.argv[1]); sys.path[:] = request['path'];"

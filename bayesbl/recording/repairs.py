@@ -23,26 +23,16 @@ from numpy.typing import NDArray
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import BoolArray, FloatArray, Recording
 
-LONGEST_LOSS_S = 0.1
-"""Half the ringing of an impact: a longer loss could hide all but its ends."""
-
-MOST_LOST = 0.05
-"""Largest share of lost samples; with more, the logger is at fault."""
-
-MOST_CUT = 0.5
-"""Largest share cut off at the ends; with more, little of the recording is left."""
+LONGEST_LOSS_S = 0.1  # half the ringing of an impact: a longer loss could hide all but its ends
+MOST_LOST = 0.05  # largest share of lost samples; with more, the logger is at fault
+MOST_CUT = 0.5  # largest share cut off at the ends; with more, little of the recording is left
 
 GRID_TOLERANCE = 0.45
 """Largest distance of a stamp from its point of an even grid, in sampling periods."""
 
-MOST_SPARED = 2.5
-"""Largest ratio of sample counts at which the slowest column sets the times."""
-
-HOLE = 3.0
-"""Multiple of a column's usual step, above which nothing is known between two values."""
-
-_MOST_GROWTH = 100
-"""A recording whose holes make it longer than this multiple counts as uneven."""
+MOST_SPARED = 2.5  # largest ratio of sample counts at which the slowest column sets the times
+HOLE = 3.0  # multiple of a column's usual step, above which nothing is known between two values
+_MOST_GROWTH = 100  # A recording whose holes make it longer than this multiple counts as uneven
 
 _GRID_BEGINS, _FOLLOWED = 21, 0.05
 """Stamps at the start of a running grid, and share of each stamp's distance that the grid follows.
@@ -292,8 +282,7 @@ MOST_DISPLACED = 0.05
 SHARED_STAMPS = 0.05
 """Share of repeated stamps from which the clock is coarse; fewer are an error in the file."""
 
-LONGEST_TICK_S = 0.1
-"""Longest tick of a usable clock. Clocks of computers tick in 15.6 ms or less."""
+LONGEST_TICK_S = 0.1  # longest tick of a usable clock. Clocks of computers tick in 15.6 ms or less.
 
 _COUNTERS = (2.0**16, 2.0**24, 2.0**32)
 _WORDS = (2.0**16, 2.0**32)
@@ -301,17 +290,10 @@ _DAY_S = 86400.0
 _POWERS = tuple(2.0**bits for bits in range(8, 33))
 """Counts at which positions wrap, besides a turn."""
 
-_SLOWEST = 20
-"""Largest number of samples between new values at which a slower rate is sought."""
-
-_ENOUGH = 1_000_000
-"""Samples of a long recording that this search uses."""
-
-_FEWEST_LEVELS = 12
-"""Fewest different values of a signal whose largest or smallest may be a stray."""
-
-_ELSEWHERE = 0.05
-"""Largest share of the change that may occur between new values."""
+_SLOWEST = 20  # largest number of samples between new values at which a slower rate is sought
+_ENOUGH = 1_000_000  # samples of a long recording that this search uses
+_FEWEST_LEVELS = 12  # fewest different values of a signal whose largest or smallest may be a stray
+_ELSEWHERE = 0.05  # largest share of the change that may occur between new values
 
 
 def mended_clock(

@@ -21,8 +21,7 @@ WITHIN = 0.02
 """Relative range of the search. The ringing resembles itself after one of its own periods (1.4 % of
 a rotation on the reference bench), but never as closely as after a turn."""
 
-STEP = 0.05
-"""Step between tried periods, in samples; a parabola refines the best one."""
+STEP = 0.05  # step between tried periods, in samples; a parabola refines the best one
 
 MOTOR_ORDERS = 12
 SWELLS = 2
@@ -33,17 +32,13 @@ SMOOTHED = 15
 """Neighbouring orders over which spectra are averaged; ringing that decays within a fifteenth of a
 rotation has similar ones."""
 
-STANDS_OUT = 6.0
-"""Standard deviations above noise at which the repeating part of an order counts."""
+STANDS_OUT = 6.0  # standard deviations above noise at which the repeating part of an order counts
 
 SPREAD_OF_MEDIAN = 1.25
 """Standard deviation of the median of many normal values over that of their mean."""
 
-PLACES = 24
-"""Parts of a rotation: impacts are in a few, steady lines in all."""
-
-LOWEST_BINS = 6
-"""Lowest orders, which determine the noise of the mean speed."""
+PLACES = 24  # parts of a rotation: impacts are in a few, steady lines in all
+LOWEST_BINS = 6  # lowest orders, which determine the noise of the mean speed
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,21 +73,15 @@ _STEP = re.compile(
     r"\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*(?:[:=]|is )?\s*(?P<value>.*)",
     re.IGNORECASE,
 )
-_LONGEST_STEP_S = 0.1
-"""A longer step without a unit may be in ms."""
-
-MOST_ABOVE = 50
-"""Non-blank lines in which the first sample is sought."""
-MOST_COLUMNS = 1000
-"""A file may have more columns if it has as many lines."""
-MOST_INCOMPLETE = 0.05
-"""Largest share of incomplete lines that count as lost samples."""
+_LONGEST_STEP_S = 0.1  # A longer step without a unit may be in ms
+MOST_ABOVE = 50  # non-blank lines in which the first sample is sought
+MOST_COLUMNS = 1000  # A file may have more columns if it has as many lines
+MOST_INCOMPLETE = 0.05  # largest share of incomplete lines that count as lost samples
 
 _INCOMPLETE = "incomplete line left out, as a lost sample"
 _BLOCK_BYTES = 1 << 20
 _MIDDLE_LINES, _MIDDLE_BYTES = 200, 1 << 16
-_MOST_SKIPPED = 1_000_000
-"""Largest excess of other lines over samples."""
+_MOST_SKIPPED = 1_000_000  # largest excess of other lines over samples
 
 EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
@@ -617,8 +611,7 @@ TIMES = 13.0
 first."""
 
 _LONGEST_EVENT = 1000
-_ALIKE = 0.8
-"""Share of events among the first lines from which a text is a log of events."""
+_ALIKE = 0.8  # share of events among the first lines from which a text is a log of events
 
 
 _AHEAD = (

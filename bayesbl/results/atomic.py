@@ -19,8 +19,7 @@ from pathlib import Path
 
 from bayesbl.errors import ResultError
 
-STAGING = ".staging"
-"""Suffix of the hidden folder in which an output is made."""
+STAGING = ".staging"  # suffix of the hidden folder in which an output is made
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
@@ -141,9 +140,7 @@ def _locked(folder: Path, output: Path) -> int:
         except BlockingIOError:
             os.close(handle)
             raise ResultError(
-                "Another run is writing to this output.",
-                file=output,
-                expected="one at a time",
+                "Another run is writing to this output.", file=output, expected="one at a time"
             ) from None
         except OSError:
             pass  # some network file systems have no locks

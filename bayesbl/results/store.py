@@ -117,9 +117,7 @@ def read_tree(path: str | Path) -> xr.DataTree:
     file = path / RESULT_FILE if os.path.isdir(path) else path
     if not os.path.isfile(file):
         raise ResultError(
-            "There is no such result." + did_you_mean_file(file),
-            file=file,
-            expected="a result.nc",
+            "There is no such result." + did_you_mean_file(file), file=file, expected="a result.nc"
         )
     quoted = shlex.quote(str(file))
     if file.suffix.lower() == ".toml":

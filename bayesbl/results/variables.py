@@ -14,8 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-STACKED = "snapshot"
-"""Leading dimension if several snapshots are stored in one group."""
+STACKED = "snapshot"  # leading dimension if several snapshots are stored in one group
 
 
 @dataclass(frozen=True, slots=True)

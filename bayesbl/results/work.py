@@ -135,8 +135,7 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
 
 _UNFINISHED = ".unfinished"
 
-_PART = ".part"
-"""Suffix of a file being written; a killed writer leaves it."""
+_PART = ".part"  # suffix of a file being written; a killed writer leaves it
 
 
 def code_identity() -> str:
@@ -280,8 +279,7 @@ class WorkStore:
         return address([what, self.code, inputs])
 
 
-NOTHING_KEPT = WorkStore(code="")
-"""A store for work that is not worth keeping, or has no folder."""
+NOTHING_KEPT = WorkStore(code="")  # A store for work that is not worth keeping, or has no folder
 
 
 def _head(key: str, content: bytes) -> bytes:

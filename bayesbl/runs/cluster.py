@@ -48,8 +48,7 @@ J = TypeVar("J", bound=InWords)
 R = TypeVar("R")
 
 
-Facts = tuple[tuple[str, str], ...]
-"""What numbers depend on besides the jobs, by name."""
+Facts = tuple[tuple[str, str], ...]  # what numbers depend on besides the jobs, by name
 
 
 def facts(files: Iterable[str]) -> Facts:

@@ -30,13 +30,11 @@ from bayesbl.fleet.recording_table import RecordingTable
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
 
-IDLE_S = 5.0
-"""Silence after which ``--once`` ends."""
+IDLE_S = 5.0  # silence after which ``--once`` ends
 
 CONNECTED_WITHIN_S = 10.0
 
-_HEAD_BYTES = 4_000
-"""Size of a packet besides its message."""
+_HEAD_BYTES = 4_000  # size of a packet besides its message
 
 _POLL_S = 0.1
 

@@ -51,11 +51,7 @@ def _forward(task: Task) -> Comparison:
 
 
 METHODS: Mapping[Method, Callable[[Task], Comparison]] = MappingProxyType(
-    {
-        "forward": _forward,
-        "inverse": inverse.comparison,
-        "free_motion": free_motion.comparison,
-    }
+    {"forward": _forward, "inverse": inverse.comparison, "free_motion": free_motion.comparison}
 )
 """Comparisons by ``[comparison] method``. Each refuses an unsuitable bench, recording or unknown
 (``UserError``)."""
@@ -107,13 +103,11 @@ FEWEST_SETTINGS = 3
 """Directions and speeds to fit on: Coulomb friction, viscous friction and a torque offset take
 three."""
 
-SAME_SPEED = 0.01
-"""Relative difference within which recordings have the same speed."""
+SAME_SPEED = 0.01  # relative difference within which recordings have the same speed
 
 FITTED = "effects are fitted on it"
 
-SPLIT_ROTATIONS = 4.0
-"""Rotations of the load in a recording that is split: two in each half."""
+SPLIT_ROTATIONS = 4.0  # rotations of the load in a recording that is split: two in each half
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,11 +62,8 @@ LARGEST_FITS_BYTES = 2_000_000_000
 """Total size of finished fits (300 kB each), from which changes are computed; the oldest are
 deleted."""
 
-KEPT = ".kept"
-"""Suffix of the hidden folder of answers."""
-
-MOST_URGENT = 20
-"""Number of joints in the summary; the tables have all."""
+KEPT = ".kept"  # suffix of the hidden folder of answers
+MOST_URGENT = 20  # number of joints in the summary; the tables have all
 
 
 class FleetSummary(Head):

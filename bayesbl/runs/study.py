@@ -66,8 +66,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Table = Mapping[str, Any]
-"""A row as the configuration states it."""
+Table = Mapping[str, Any]  # A row as the configuration states it
 
 REQUIRED = ("count", "run_case", "summarise")
 

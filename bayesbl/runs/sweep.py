@@ -58,10 +58,7 @@ BENCH_DRAWS = Group(
         departure (draw, gap, quantity) | 1 | departure of ln A, ln ω and ln τ from the nominal
             sweep
     """),
-    (
-        labels("parameter", "parameter of the bench"),
-        labels("quantity", "quantity of the ringing"),
-    ),
+    (labels("parameter", "parameter of the bench"), labels("quantity", "quantity of the ringing")),
 )
 
 

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]
 """Draws the figures of a result into a folder, in these formats (png, pdf)."""
 
-LONGEST_S = 7 * 24 * 3600.0
-"""Longest duration of a run."""
+LONGEST_S = 7 * 24 * 3600.0  # longest duration of a run
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,13 +28,9 @@ if TYPE_CHECKING:
 
     Piece = tuple[str, str, Use, DisagreementSummary]
 
-_LOOKS = (style.look(1), style.look(0))
-"""Looks of the bench as given, and with what was named."""
-
-_ZOOM = 0.04
-"""Share of a recording that the zoom shows."""
-_FEWEST_SHOWN = 150
-"""Samples in the zoom, if the recording has twice as many."""
+_LOOKS = (style.look(1), style.look(0))  # looks of the bench as given, and with what was named
+_ZOOM = 0.04  # share of a recording that the zoom shows
+_FEWEST_SHOWN = 150  # samples in the zoom, if the recording has twice as many
 _OUTLINE_BINS = 900
 _LINE_LETTERS = 125
 _SHOWN_ROW_IN = 1.75
@@ -202,8 +198,7 @@ def _draw_every(panel: Axes, pieces: Sequence[Piece]) -> None:
     panel.set_xlabel("RMS / noise floor")
 
 
-LEVEL_SD = 1.645
-"""Half-width of a 90 % interval in standard deviations."""
+LEVEL_SD = 1.645  # half-width of a 90 % interval in standard deviations
 
 _LABELS = {
     "motor_angle": "Motor angle from the first recording's start (turns)",

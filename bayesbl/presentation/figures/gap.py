@@ -42,10 +42,8 @@ from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE
 
 _ROW_IN = 0.5
-VISIBLE = 0.005
-"""Share of a density's peak below which it is not drawn."""
-_RIDGE = 0.6
-"""Height of a density in rows."""
+VISIBLE = 0.005  # share of a density's peak below which it is not drawn
+_RIDGE = 0.6  # height of a density in rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,8 +209,7 @@ def _draw_rows(
 
 
 THROUGH = "curve_amplitude_rpm"
-_MOST_SHOWN = 400
-"""Largest number of draws shown."""
+_MOST_SHOWN = 400  # largest number of draws shown
 
 
 @stored_figure(
@@ -273,10 +270,7 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
 
 def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     """Show the posteriors, and a limit that is near."""
-    for name, factor, setter in (
-        (AMPLITUDE, 1.0, main.set_xlim),
-        (GAP, 1e3, main.set_ylim),
-    ):
+    for name, factor, setter in ((AMPLITUDE, 1.0, main.set_xlim), (GAP, 1e3, main.set_ylim)):
         draws = np.concatenate([p.values("posterior", name).ravel() for p in parts])
         low, high = map(float, np.quantile(draws, (0.001, 0.999)))
         margin = max(0.35 * (high - low), 0.12 * high)
@@ -290,8 +284,7 @@ def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
 _HIGHEST_VIEW = 1.3
 """How far the view extends beyond limit and gaps; a path that speeds up would hide them."""
 
-_LONGEST_VIEW = 3.0
-"""How far ahead the view extends, in times since the first snapshot in use."""
+_LONGEST_VIEW = 3.0  # how far ahead the view extends, in times since the first snapshot in use
 
 
 @stored_figure(

@@ -216,8 +216,7 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
 
 _CELLS, _BETWEEN = 30, 2
 _HELD = (0.5, 0.9)
-_RANGE = (0.001, 0.999)
-"""Quantiles between which draws are shown; outliers would squeeze the rest."""
+_RANGE = (0.001, 0.999)  # quantiles between which draws are shown; outliers would squeeze the rest
 
 
 class _Symbol(NamedTuple):

@@ -40,8 +40,7 @@ LIMIT = "#000000"
 WITHHELD = "#b0b0b0"
 NEUTRAL = "#404040"
 
-GAP = "delta_rad"
-"""Name of the gap in a posterior."""
+GAP = "delta_rad"  # name of the gap in a posterior
 
 _RC: Mapping[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -162,8 +161,7 @@ def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> lis
 
 MOST_COLUMNS = 2
 
-LINE_IN = 0.15
-"""Height of a legend's line."""
+LINE_IN = 0.15  # height of a legend's line
 
 
 def grid(
@@ -259,11 +257,7 @@ def limit_line(panel: Axes, tree: xr.DataTree) -> None:
     if "limit_rad" in tree.attrs:
         limit = 1e3 * float(tree.attrs["limit_rad"])
         panel.axhline(
-            limit,
-            color=LIMIT,
-            linewidth=0.9,
-            linestyle=LIMIT_DASHES,
-            label=f"limit {limit:g} mrad",
+            limit, color=LIMIT, linewidth=0.9, linestyle=LIMIT_DASHES, label=f"limit {limit:g} mrad"
         )
 
 

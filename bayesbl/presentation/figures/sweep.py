@@ -21,8 +21,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
 _PAPER = "#d55e00"
-_WIDE_SOURCES = ("bench",)
-"""Sources far larger than the sweep's own; drawn at the scale of eq. 4."""
+_WIDE_SOURCES = ("bench",)  # sources far larger than the sweep's own; drawn at the scale of eq. 4.
 
 _POINTS: Mapping[str, Any] = {
     "color": style.NEUTRAL,
@@ -32,11 +31,7 @@ _POINTS: Mapping[str, Any] = {
     "markeredgewidth": 0.5,
     "linestyle": "none",
 }
-_FILLS: Mapping[str, str] = {
-    "bench": "#dcdcdc",
-    "regression": "#0072b2",
-    "lack_of_fit": "#a6cee3",
-}
+_FILLS: Mapping[str, str] = {"bench": "#dcdcdc", "regression": "#0072b2", "lack_of_fit": "#a6cee3"}
 
 
 @stored_figure(

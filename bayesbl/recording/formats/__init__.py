@@ -18,8 +18,7 @@ from bayesbl.recording.hdf5 import SIGNATURES
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
 
-RESULT_MARK = "bayesbl_format"
-"""Root attribute of our NetCDF results; its value numbers the layout."""
+RESULT_MARK = "bayesbl_format"  # root attribute of our NetCDF results; its value numbers the layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +123,7 @@ _EVERY = (
     Format("TDMS", (".tdms",), ".tdms", "nptdms", ((0, b"TDSm"),)),
 )
 
-FORMATS = {suffix: format_ for format_ in _EVERY for suffix in format_.suffixes}
-"""Format by suffix."""
+FORMATS = {suffix: format_ for format_ in _EVERY for suffix in format_.suffixes}  # format by suffix
 
 
 def names() -> str:

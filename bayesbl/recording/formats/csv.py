@@ -124,11 +124,8 @@ _SCOPE_BEGIN = re.compile(rf"Name[{_SEPARATORS}]")
 _SCOPE_LINE = re.compile(
     rf"^(?:Starttime of export|Data-Type|SampleTime(?:\[ms\])?|SymbolName)[{_SEPARATORS}]", re.M
 )
-_LONGEST_HEADER = 500
-"""Lines in which the first sample is sought; comments may take several."""
-
-_FILETIME = 1e15
-"""A larger time is a Windows date in units of 100 ns, not a count of ms."""
+_LONGEST_HEADER = 500  # lines in which the first sample is sought; comments may take several
+_FILETIME = 1e15  # A larger time is a Windows date in units of 100 ns, not a count of ms
 
 
 def _is_scope_export(text: str) -> bool:
