@@ -72,26 +72,22 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Bench": "bayesbl.bench.bench",
-    "GapCurve": "bayesbl.curve.gap_curve",
-    "Recording": "bayesbl.recording.types",
-    "Result": "bayesbl.presentation.result_object",
-    "UserError": "bayesbl.errors",
-    "compare": "bayesbl.library",
-    "diagnose": "bayesbl.library",
-    "fit": "bayesbl.library",
-    "identify": "bayesbl.library",
-    "load_bench": "bayesbl.config.bench",
-    "load_config": "bayesbl.config.loading",
-    "published_curve": "bayesbl.curve.gap_curve",
-    "read_recording": "bayesbl.recording.readers",
-    "read_result": "bayesbl.library",
-    "run": "bayesbl.library",
-    "summarise": "bayesbl.runs.kinds",
-    "sweep": "bayesbl.library",
-    "write_page": "bayesbl.library",
+    name: module
+    for module, names in {
+        "bayesbl.bench.bench": "Bench",
+        "bayesbl.config.bench": "load_bench",
+        "bayesbl.config.loading": "load_config",
+        "bayesbl.curve.gap_curve": "GapCurve published_curve",
+        "bayesbl.errors": "UserError",
+        "bayesbl.library": "compare diagnose fit identify read_result run sweep write_page",
+        "bayesbl.presentation.result_object": "Result",
+        "bayesbl.recording.readers": "read_recording",
+        "bayesbl.recording.types": "Recording",
+        "bayesbl.runs.kinds": "summarise",
+    }.items()
+    for name in names.split()
 }
-"""Public name to the module that holds it."""
+"""Module of each public name."""
 
 
 def __getattr__(name: str) -> object:

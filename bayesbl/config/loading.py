@@ -46,9 +46,15 @@ _EXPECTED = {
     "float_type": "a number",
     "date_type": "a date, e.g. 2026-03-01",
 }
-_OUT_OF_RANGE = frozenset(
-    {"greater_than", "greater_than_equal", "less_than", "less_than_equal", "multiple_of"}
-)
+_OUT_OF_RANGE = [
+    "greater_than",
+    "greater_than_equal",
+    "less_than",
+    "less_than_equal",
+    "multiple_of",
+]
+_PROBLEMS = dict.fromkeys(_OUT_OF_RANGE, "The value is out of range.")
+_PROBLEMS["literal_error"] = "This is not one of the choices."
 
 
 def config_error(problems: Sequence[ConfigError], file: Path | None) -> ConfigError:
@@ -175,15 +181,8 @@ def _problem(item: Mapping[str, Any], model: type[BaseModel], location: Location
             if kind == "model_type" and "value" in _keys_at(model, location):
                 expected = f"a table, such as {{value = {_shown(item['input'])}}}"
             shown = _shown(item["input"])
-            return {"problem": _sentence(kind), "found": shown, "expected": expected}
-
-
-def _sentence(kind: str) -> str:
-    if kind in _OUT_OF_RANGE:
-        return "The value is out of range."
-    if kind == "literal_error":
-        return "This is not one of the choices."
-    return "This value cannot be used."
+            problem = _PROBLEMS.get(kind, "This value cannot be used.")
+            return {"problem": problem, "found": shown, "expected": expected}
 
 
 def _shown(value: object) -> str:

@@ -82,7 +82,15 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
         require_one_speed(recording)
         if gear_ratio is not None:
             require_rotations(recording, rotations_of(recording, gear_ratio))
-    return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
+    current = recording.channels.get(MOTOR_CURRENT)
+    if current is None or not is_constant(current):
+        return recording
+    note = (
+        f"The {CHANNELS[MOTOR_CURRENT]} ({MOTOR_CURRENT}) never changes "
+        f"({_all_alike(recording, MOTOR_CURRENT)}): a dead sensor, or a value that was filled in. "
+        "It is not used here, and the direct route refuses it."
+    )
+    return replace(recording, notes=(*recording.notes, note))
 
 
 SPEED_AVERAGED_S = "speed_averaged_s"
@@ -232,17 +240,6 @@ def is_constant(values: FloatArray) -> bool:
 def _all_alike(recording: Recording, channel: str) -> str:
     values = recording.channels[channel]
     return f"{values.mean():.6g} in all {values.size} samples"
-
-
-def _of_dead_channels(recording: Recording) -> list[str]:
-    """A sentence for each constant channel that a fit of the speed does not use."""
-    return [
-        f"The {CHANNELS[channel]} ({channel}) never changes ({_all_alike(recording, channel)}): a "
-        "dead sensor, or a value that was filled in. It is not used here, and the direct route "
-        "refuses it."
-        for channel, values in recording.channels.items()
-        if channel == MOTOR_CURRENT and is_constant(values)
-    ]
 
 
 def require_turning(recording: Recording) -> None:

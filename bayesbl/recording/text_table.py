@@ -308,7 +308,7 @@ def _header_of(
         # or a kind below each of names that are all there: "date,D,D".
         if len(set(before)) == len(before) and all(before):
             names = ["" if names.count(name) > 1 else name for name in names]
-        titles = accumulate(before, _title_on)
+        titles: Iterator[str] = accumulate(before, lambda last, title: title or last)
         names = [f"{title} {name}".strip() for title, name in zip(titles, names, strict=False)]
     names = [name or f"column {i}" for i, name in enumerate(names, 1)]
     return named[-1], tuple(numbered(names)), tuple(units[: len(names)])
@@ -346,10 +346,6 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
                         step = 60.0 / size if match["rate"] else size
                         return step if unit != usual or step <= _LONGEST_STEP_S else None
     return None
-
-
-def _title_on(title_before: str, title: str) -> str:
-    return title or title_before
 
 
 def _first_sample(
@@ -687,7 +683,9 @@ def in_columns(table: ArrayTable) -> ArrayTable:
     keys = []
     for name, cells in table.arrays.items():
         is_called, is_text = _KEY.search(name) is not None, cells.dtype.kind == "S"
-        if name in held or not (is_called or is_text) or (is_text and _are_dates(cells)):
+        if name in held or not (is_called or is_text):
+            continue
+        if is_text and is_date(next(filter(None, cells.tolist()), b"").decode()):
             continue
         words, index, times = np.unique(cells, return_inverse=True, return_counts=True)
         repeats = times[times > 1].sum() >= _ALIKE * index.size and words.size <= _MOST_NAMES
@@ -709,10 +707,6 @@ def in_columns(table: ArrayTable) -> ArrayTable:
                 called = "time_s" if clock in dates else clock
                 return _beside_dates(_of_events(table, called, time, key, columns), dates, time)
     return table
-
-
-def _are_dates(cells: AnyArray) -> bool:
-    return is_date(next(filter(None, cells.tolist()), b"").decode())
 
 
 def _beside_dates(

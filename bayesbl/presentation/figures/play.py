@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -28,11 +30,18 @@ from bayesbl.presentation.figures.style import GAP
 )
 def ramp_loops(tree: xr.DataTree) -> Figure:
     """A panel for each snapshot with its files, centred; the band is the play 2δ."""
-    parts = snapshots(tree, "loop")
-    lines = 2 if len(parts) == 1 else 1
+    return _panels(tree, "loop", _draw_ramp_loops)
+
+
+def _panels(
+    tree: xr.DataTree, group: str, draw: Callable[[Axes, xr.DataTree, Snapshot, int], None]
+) -> Figure:
+    """A panel for each snapshot that the route with this group stores."""
+    parts = snapshots(tree, group)
+    lines = 2 if len(parts) == 1 and group == "loop" else 1
     figure, axes = style.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * style.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
-        _draw_ramp_loops(panel, tree, snapshot, index)
+        draw(panel, tree, snapshot, index)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     most = max(axes, key=lambda panel: len(panel.lines))
     style.legend_over(figure, most, 4 // lines)
@@ -83,13 +92,7 @@ def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: 
 )
 def flank_paths(tree: xr.DataTree) -> Figure:
     """A panel for each snapshot; the band is the play 2δ."""
-    parts = snapshots(tree, "transmission")
-    figure, axes = style.one_panel_each(len(parts), 2.6, above=1.2 * style.LINE_IN)
-    for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
-        _draw_flank_paths(panel, tree, snapshot, index)
-    style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
-    style.legend_over(figure, axes[0])
-    return figure
+    return _panels(tree, "transmission", _draw_flank_paths)
 
 
 def _draw_flank_paths(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:

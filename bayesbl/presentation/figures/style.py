@@ -42,26 +42,21 @@ NEUTRAL = "#404040"
 
 GAP = "delta_rad"  # name of the gap in a posterior
 
+_TEXTS = [f"{of}size" for of in ("font.", "axes.title", "axes.label", "xtick.label", "ytick.label")]
+_TEXTS += ["legend.fontsize"]
+_LINES = ("axes.linewidth", "patch.linewidth", "xtick.major.width", "ytick.major.width")
 _RC: Mapping[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
-    "font.size": 7.0,  # the least that journals take at printed size
-    "axes.titlesize": 7.0,
-    "axes.labelsize": 7.0,
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "legend.fontsize": 7.0,
+    **dict.fromkeys(_TEXTS, 7.0),  # the least that journals take at printed size
+    **dict.fromkeys(_LINES, 0.6),
     "mathtext.default": "regular",
     "axes.titley": 1.0,  # a place found anew at each drawing takes a tenth of the time
-    "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.formatter.useoffset": False,
     "lines.linewidth": 1.0,
     "lines.markersize": 4.0,
-    "patch.linewidth": 0.6,
     "hatch.linewidth": 0.4,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
     "xtick.major.size": 2.5,
     "ytick.major.size": 2.5,
     "legend.frameon": False,
