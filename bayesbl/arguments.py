@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
 Arrays = dict[str, "NDArray[Any]"]  # columns by name, of a recording in memory
 
 

@@ -18,7 +18,6 @@ from bayesbl.cli.commands import COMMANDS, FAILED, FIGURES, WITHHELD, WRONG, bro
 from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
-
 _UsageError: Any = typer.BadParameter.__bases__[0]  # click's, or that of typer's own copy of click
 INTERRUPTED = 130  # status with which typer ends after Ctrl-C
 

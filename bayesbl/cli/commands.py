@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from bayesbl.config.sections import RunConfig
     from bayesbl.runs.workflow import Plan
 
-FAILED, WRONG, WITHHELD = 1, 2, 3
-"""Statuses: a bug or Ctrl-C; wrong usage, configuration or input; a withheld answer."""
+FAILED, WRONG, WITHHELD = 1, 2, 3  # statuses: a bug or Ctrl-C; wrong input; a withheld answer
 
 
 FIGURES: ContextVar[tuple[str, ...]] = ContextVar("figures", default=("png",))

@@ -588,5 +588,4 @@ FILES: Mapping[str, str] = MappingProxyType(
 )
 """What a file of each kind holds, in words."""
 
-RUNNABLE = tuple(kind for kind in FILES if kind != "bench")
-"""The kinds that ``bayesbl run`` accepts."""
+RUNNABLE = tuple(kind for kind in FILES if kind != "bench")  # those that ``bayesbl run`` accepts

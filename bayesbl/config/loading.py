@@ -30,9 +30,7 @@ from bayesbl.recording.formats import FORMATS
 from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of
 from bayesbl.units import unit_of
 
-Location = tuple[str | int, ...]
-"""Keys and list positions from the top of a configuration to a value."""
-
+Location = tuple[str | int, ...]  # keys and list positions from the top to a value
 _TABLE = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
 _KEY = re.compile(r"""^\s*("[^"]*"|'[^']*'|[A-Za-z0-9_.-]+)\s*=""")
 _PREAMBLE = re.compile(r"^(Input should be (an instance of )?|(String|Value) should (have|be) )")
@@ -219,7 +217,6 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
 
 _Model = TypeVar("_Model", bound=Section)
 _Tables = dict[str, Any]
-
 DEEPEST = 30  # largest depth of tables and lists in a file; the package writes seven at most
 
 
@@ -401,14 +398,9 @@ _OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
 _COMMON_SECTIONS = ("schema", "run", "columns", "interval")
 """Sections that identification and diagnosis take from the configuration of a measurement."""
 
-_OF_A_FILE = ("date", "repaired")
-"""Keys of ``[[recordings]]`` that belong to the file, for any command."""
-
-_OF_A_BENCH = ("identify", "diagnose")
-"""Kinds that examine the bench; their files have sections of their own."""
-
-_LONGEST_OUTPUT = 200
-"""Bytes in the name of an output folder; file systems take 255, and hidden siblings add some."""
+_OF_A_FILE = ("date", "repaired")  # keys of ``[[recordings]]`` about the file, for any command
+_OF_A_BENCH = ("identify", "diagnose")  # kinds that examine the bench; their files differ
+_LONGEST_OUTPUT = 200  # bytes of a name; file systems take 255, and siblings add some
 
 
 @checked

@@ -54,10 +54,7 @@ from bayesbl.ringing.symbols import (
 from bayesbl.units import choice_of_units, is_accepted, spelled
 
 RESULT_FILE = "result.nc"  # name of a result in its output folder
-
-BASE_DIRECTORY = "base_directory"
-"""Key of the validation context: the folder that relative paths start from."""
-
+BASE_DIRECTORY = "base_directory"  # of the validation context: where relative paths start
 LONGEST_NAME = 60  # letters in the name of a recording
 PUBLISHED = "published"  # the curve of the paper's eq. 4.
 
@@ -192,8 +189,7 @@ OutputPath = Annotated[Path, BeforeValidator(_output_path)]
 InputPath = Annotated[Path, BeforeValidator(_input_path)]
 CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
 ResultFile = Annotated[Path, BeforeValidator(_result_file)]  # A ``result.nc``, or its output folder
-BenchSource = ResultFile
-"""A bench file, or the result of an identification: its folder or ``result.nc``."""
+BenchSource = ResultFile  # a bench file, or the result of an identification
 Range = Annotated[tuple[float, float], Strict(False), AfterValidator(_increasing)]
 Gap = Annotated[float, Field(ge=0.0, le=math.pi)]
 GapBoundsFromZero = Annotated[tuple[Gap, Gap], Strict(False), AfterValidator(_increasing)]

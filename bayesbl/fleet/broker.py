@@ -35,9 +35,7 @@ if TYPE_CHECKING:
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
-
 FIRST_WAIT_S, LONGEST_WAIT_S = 1, 120  # wait between attempts to reach a broker; doubled each time
-
 _EXPECTED = "mqtts://broker/topic, or mqtts://broker:8883/plant/cell4"
 _CLIENT = "client"
 
@@ -218,12 +216,9 @@ class OnlyOnce:
             self._say(text)
 
 
-NOBODY_LISTENS = 16
-"""MQTT 5's reason code if no client, present or away, has subscribed to the topic."""
-
+NOBODY_LISTENS = 16  # MQTT 5's reason code if no client has subscribed to the topic
 EXPIRES_S = 7 * 24 * 3600  # after this time, a broker may forget an answer
 SEND_ALL_AFTER_S = float(EXPIRES_S)  # after this time, a device sends all of its answers again
-
 _SENT = "sent.json"
 
 

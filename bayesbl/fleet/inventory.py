@@ -214,8 +214,7 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
     return sorted(listed, key=lambda one: (one.joint, one.date, one.file))
 
 
-FileState = tuple[int, int, int, int]
-"""Inode, size and times of a file; if they differ, the content may."""
+FileState = tuple[int, int, int, int]  # inode, size and times; if they differ, the content may
 
 
 def file_state(file: str) -> FileState | None:

@@ -41,8 +41,7 @@ from bayesbl.results.store import summary_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 
-REFUSED, FAILED = "refused", "failed"
-"""Outcomes besides those of a measurement: an unusable recording, and a bug."""
+REFUSED, FAILED = "refused", "failed"  # outcomes too: an unusable recording, and a bug
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,8 +226,7 @@ class JointJob:
         return entry
 
 
-DRAWS = 2000
-"""Draws of a joint's gaps and rate: the level of a 90 % interval is 90 ± 0.7 %, √(p (1 − p)/n)."""
+DRAWS = 2000  # of gaps and rate: a 90 % interval has 90 ± 0.7 % (√(p (1 − p)/n))
 
 CHANGED = RecordingAnswer(
     REFUSED, "A file changed while it was measured. Measure it again.", lasting=False

@@ -19,9 +19,7 @@ from bayesbl.errors import shortened
 from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 
 SCHEMA = 2
-
 LARGEST_MESSAGE_BYTES = 1_000_000  # an answer takes about 1,200 bytes
-
 LONGEST_TEXT = 10_000
 
 LARGEST_RPM = 1e6

@@ -51,10 +51,7 @@ JUMP_SPREAD = (2.0, 4.0)
 of a single joint."""
 
 FALSE_CALLS = 0.05  # expected share of false calls among the joints called over their limit
-
-OWN_RATE = 3.0
-"""Scale of the rates of joints that wear in their own way, relative to the type's median."""
-
+OWN_RATE = 3.0  # scale of the rates of joints that wear otherwise, relative to the median
 BURN_IN, SWEEPS = 200, 800
 HYPER_DRAWS = 100  # draws of the type by which joints are weighted: every eighth sweep
 DRAWS_A_SWEEP = 400  # draws of each joint from which a sweep chooses; all are weighted at the end
@@ -64,15 +61,9 @@ FEWEST_EFFECTIVE = 100.0
 be uncertain by 3 %, √(p (1 − p)/n)."""
 
 _PRIOR = np.array([kind.probability for kind in KINDS])
-
 _SLOPE = 1.0  # standard deviation of the normal prior of β
-
-_FAR = 3.0
-"""Standard deviation of the normal priors of μ and m around the middle of all joints: nearly
-flat."""
-
-_LOG_JUMPS = 2.0 * float(np.log(SCATTER[1] / SCATTER[0]))
-"""Width of the prior of ln s for a single joint."""
+_FAR = 3.0  # standard deviation of the nearly flat priors of μ and m
+_LOG_JUMPS = 2.0 * float(np.log(SCATTER[1] / SCATTER[0]))  # prior width of ln s of a single joint
 
 
 @dataclass(frozen=True, slots=True)

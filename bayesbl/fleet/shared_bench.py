@@ -32,9 +32,7 @@ LEARNT = 0.5
 prior, which all recordings share, is half of what is compared."""
 
 BEYOND_CHANCE = 3.0  # standard deviations of the variance of finitely many draws
-
-_EDGE = 1e-4
-"""Shares of a flat prior beyond which draws count as at its edge (3.7 standard deviations)."""
+_EDGE = 1e-4  # shares of a flat prior beyond which draws are at its edge (3.7 deviations)
 
 
 def as_normal(

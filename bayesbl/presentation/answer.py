@@ -37,7 +37,6 @@ RINGING_EXPLAINED = (
 )
 
 OTHER_MACHINE = "If this joint were the paper's test bench, at an assumed 2000 rpm"
-
 DISAGREE = "routes_disagree"  # code of the reason that two routes give different answers
 
 SHRANK = (

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 
 MOST_RIVALS = 2  # largest number of rivals that a headline names
-
 UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to state a share."
 
 USES = {"used": "fitted on", "held_out": "held out"}

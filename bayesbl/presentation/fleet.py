@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from bayesbl.runs.fleet import FleetSummary
 
 Row = Mapping[str, Any]  # A row of a table of the fleet, or its summary
-
 _SHOWN = 10
 
 _MEASURED = ("converged", "usable")

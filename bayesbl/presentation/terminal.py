@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 
 
 _STYLES = {"": "", "answer": "bold", "withheld": "bold yellow", "aside": "dim", "warning": "yellow"}
-
 _BETWEEN = 2  # space between two columns of a table
 _NARROWEST_NAME = 12  # width to which the first column of a table may be folded
-
 _INDENT = "  "
 
 _GLUE = "\N{NO-BREAK SPACE}"
@@ -162,9 +160,7 @@ def _print_row_by_row(table: Table, console: Console) -> None:
 
 
 SILENT_S = 2.0  # longest initial silence in a log
-
-SILENT_SHARE = 0.1
-"""Share of the elapsed time to which a silence grows, so that a day's log has a hundred lines."""
+SILENT_SHARE = 0.1  # part of the elapsed time to which a silence grows: a hundred lines a day
 
 
 @contextmanager

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
 RAREST = 1e-3  # thousands of draws cannot show probabilities closer to 0 or 1
-
-SURE = 0.95
-"""Probability from which something counts as shown; below 1 minus this, its opposite does."""
+SURE = 0.95  # probability from which something is shown; below 1 minus this, its opposite
 
 _SOURCES = {
     "noise": "noise of the recording",

@@ -239,7 +239,6 @@ def seconds_of_calendar(times: NDArray[np.datetime64]) -> FloatArray:
 
 
 AnyArray = NDArray[Any]
-
 LONGEST_TEXT = 60  # letters kept of a text cell: dates are shorter, and messages quote less
 
 

@@ -30,28 +30,18 @@ from bayesbl.recording.repairs import HOLE, new_values, runs
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
-MINIMUM_SAMPLING_HZ = 50.0
-"""The ringing is near 10 Hz and lasts 0.2 s: at a lower rate, a pulse has too few samples."""
-
-MINIMUM_ROTATIONS = 1.95
-"""Two rotations separate noise from misfit; a little of the second may be missing."""
-
+MINIMUM_SAMPLING_HZ = 50.0  # a pulse rings near 10 Hz for 0.2 s and needs enough samples
+MINIMUM_ROTATIONS = 1.95  # two separate noise from misfit; a little may be missing
 BLOCK_S = 0.25
 BLOCKS_COMPARED = 4
 LARGEST_DEPARTURE = 0.2
 SMALLEST_STEP = 0.02
 STEP_OVER_SCATTER = 6.0
 MOST_STRETCHES = 6  # this and those above: of :func:`require_one_speed`
-
-LARGEST_CURRENT = 2.0
-"""Multiple of the bench's limit: peak and RMS values differ by √2, wrong units by far more."""
-
+LARGEST_CURRENT = 2.0  # times the bench's limit: peak and RMS differ by √2, wrong units by more
 STANDSTILL_RPM = 1.0  # A slower motor would take minutes for one rotation even without a gear
-
 LARGEST_DRIFT = 0.01
-DRIFT_OVER_SCATTER = 3.0
-"""Constants of :func:`require_no_drift`; the load angle's effect on the speed is below both."""
-
+DRIFT_OVER_SCATTER = 3.0  # of :func:`require_no_drift`; the load angle's effect is below both
 UNIT_AGREEMENT = 0.02  # relative difference below which another unit is the likely one
 
 WHAT_A_MOTION_NEEDS = (
@@ -93,8 +83,7 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     return replace(recording, notes=(*recording.notes, note))
 
 
-SPEED_AVERAGED_S = "speed_averaged_s"
-"""Metadata key: time over which a speed derived from positions is averaged, in s."""
+SPEED_AVERAGED_S = "speed_averaged_s"  # metadata: averaging time in s of a speed from positions
 
 
 def with_speed(recording: Recording) -> Recording:

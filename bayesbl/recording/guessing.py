@@ -97,12 +97,9 @@ _STEMS = frozenset(
 
 NO_UNIT = "no unit found: check it"  # reason for a unit that nothing in the file supports
 BY_ROS = "ROS logs in SI units (REP 103)"  # reason for the unit of a column named by a topic's path
-
 _SI = {MOTOR_SPEED: "rad/s", MOTOR_POSITION: "rad", LOAD_POSITION: "rad", MOTOR_TORQUE: "N m"}
 _TOPIC = re.compile(r"/\w+/|field\.")  # start of column names by PlotJuggler and ``rostopic``
-
-AS_SPEED = "as the speed: check it"
-"""Reason for the unit of a reference that states none; it nearly always has the speed's."""
+AS_SPEED = "as the speed: check it"  # of a reference without a unit; it nearly always is so
 
 NO_NAME = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
 """Question if no column has the name of a motor channel."""
@@ -123,7 +120,6 @@ OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m 
 """Question about a ramp's torque measured at the other side of the gear."""
 
 UNKNOWN = "?"  # placeholder for an unknown unit or name; the configuration does not run with it
-
 _USUAL_RATES_HZ = (10.0, 5e4)
 _THESE_YEARS = (631152000.0, 4102444800.0)  # 1990 to 2100 in seconds since 1970
 
@@ -143,9 +139,7 @@ _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SWITCHED = (MOTOR_SPEED, MOTOR_POSITION, MOTOR_CURRENT, MOTOR_TORQUE, LOAD_POSITION, _LOAD_TORQUE)
 """Measured channels, which are never yes or no: ``torque_enabled`` is no torque."""
 
-_SIDES_ALIKE = 2.5
-"""Largest ratio between the largest torques of both directions of ramps to and fro."""
-
+_SIDES_ALIKE = 2.5  # largest ratio of the torques of both directions of ramps
 _STANDSTILL_RPM = 1.0
 _TURNS_BACK = 1.5  # path over distance of a motor that moves to and fro
 _FOLLOWS = 0.5  # share of a position's variance that another position of the same joint explains

@@ -13,11 +13,8 @@ from pathlib import Path
 from bayesbl.errors import RecordingError, UnavailableError, UserError
 from bayesbl.recording.channels import did_you_mean_file
 
-LIMIT_VARIABLE = "BAYESBL_RECORDING_MEMORY_MB"
-"""Environment variable that replaces :data:`MEMORY_MB`, for all formats."""
-
+LIMIT_VARIABLE = "BAYESBL_RECORDING_MEMORY_MB"  # environment variable that replaces MEMORY_MB
 MEMORY_MB = 2000.0  # memory that reading one recording may take: its bytes, and what they unpack to
-
 PACKED = ".gz"
 
 

@@ -38,9 +38,7 @@ _PROGRAM = (
     "; import os; os._exit(0)"
 )
 _WHOLE = "a whole {kind} file; save it again, or as CSV"
-_IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
-"""Name that libraries give to a file in memory."""
-
+_IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")  # libraries' name for a file in memory
 _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
 
 

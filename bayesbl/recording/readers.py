@@ -50,11 +50,8 @@ from bayesbl.recording.types import FloatArray, Recording, Source
 
 POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
 REFERENCES = (REFERENCE_SPEED, REFERENCE_POSITION)
-
 MINIMUM_SAMPLES = 16  # fewer samples are no recording for any task
-
-LATEST_START_S = 1e6
-"""A time that begins later, such as seconds since 1970, is counted from its first stamp."""
+LATEST_START_S = 1e6  # a time that begins later (seconds since 1970) counts from its first stamp
 
 
 NO_MEASUREMENT = 1e15  # larger numbers, in any unit, diverged or mark missing values

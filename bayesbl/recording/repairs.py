@@ -26,10 +26,7 @@ from bayesbl.recording.types import BoolArray, FloatArray, Recording
 LONGEST_LOSS_S = 0.1  # half the ringing of an impact: a longer loss could hide all but its ends
 MOST_LOST = 0.05  # largest share of lost samples; with more, the logger is at fault
 MOST_CUT = 0.5  # largest share cut off at the ends; with more, little of the recording is left
-
-GRID_TOLERANCE = 0.45
-"""Largest distance of a stamp from its point of an even grid, in sampling periods."""
-
+GRID_TOLERANCE = 0.45  # a stamp's largest distance from an even grid, in sampling periods
 MOST_SPARED = 2.5  # largest ratio of sample counts at which the slowest column sets the times
 HOLE = 3.0  # multiple of a column's usual step, above which nothing is known between two values
 _MOST_GROWTH = 100  # A recording whose holes make it longer than this multiple counts as uneven
@@ -40,9 +37,7 @@ It scatters by a sixth of the stamps' scatter, and follows a period that is wron
 """
 
 IntArray = NDArray[np.int64]
-
-Place = Callable[[int, int | None], str]
-"""Place of a value in the file by row and column; ``None`` for the time column."""
+Place = Callable[[int, int | None], str]  # row and column of a value; ``None`` for the time column
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,20 +271,13 @@ def widened(excluded: BoolArray | None, samples: int) -> BoolArray | None:
     return np.asarray(binary_dilation(excluded, iterations=samples))
 
 
-MOST_DISPLACED = 0.05
-"""Largest share of rows out of order that are sorted; more are two recordings in one file."""
-
-SHARED_STAMPS = 0.05
-"""Share of repeated stamps from which the clock is coarse; fewer are an error in the file."""
-
+MOST_DISPLACED = 0.05  # share of rows out of order; more are two recordings in one file
+SHARED_STAMPS = 0.05  # share of repeated stamps from which the clock is coarse, not faulty
 LONGEST_TICK_S = 0.1  # longest tick of a usable clock. Clocks of computers tick in 15.6 ms or less.
-
 _COUNTERS = (2.0**16, 2.0**24, 2.0**32)
 _WORDS = (2.0**16, 2.0**32)
 _DAY_S = 86400.0
-_POWERS = tuple(2.0**bits for bits in range(8, 33))
-"""Counts at which positions wrap, besides a turn."""
-
+_POWERS = tuple(2.0**bits for bits in range(8, 33))  # counts at which positions wrap, or a turn
 _SLOWEST = 20  # largest number of samples between new values at which a slower rate is sought
 _ENOUGH = 1_000_000  # samples of a long recording that this search uses
 _FEWEST_LEVELS = 12  # fewest different values of a signal whose largest or smallest may be a stray

@@ -22,7 +22,6 @@ WITHIN = 0.02
 a rotation on the reference bench), but never as closely as after a turn."""
 
 STEP = 0.05  # step between tried periods, in samples; a parabola refines the best one
-
 MOTOR_ORDERS = 12
 SWELLS = 2
 """Motor orders that are removed first, because they do not repeat with the load, and load orders on
@@ -33,10 +32,7 @@ SMOOTHED = 15
 rotation has similar ones."""
 
 STANDS_OUT = 6.0  # standard deviations above noise at which the repeating part of an order counts
-
-SPREAD_OF_MEDIAN = 1.25
-"""Standard deviation of the median of many normal values over that of their mean."""
-
+SPREAD_OF_MEDIAN = 1.25  # standard deviation of many values' median over their mean's
 PLACES = 24  # parts of a rotation: impacts are in a few, steady lines in all
 LOWEST_BINS = 6  # lowest orders, which determine the noise of the mean speed
 

@@ -77,12 +77,10 @@ _LONGEST_STEP_S = 0.1  # A longer step without a unit may be in ms
 MOST_ABOVE = 50  # non-blank lines in which the first sample is sought
 MOST_COLUMNS = 1000  # A file may have more columns if it has as many lines
 MOST_INCOMPLETE = 0.05  # largest share of incomplete lines that count as lost samples
-
 _INCOMPLETE = "incomplete line left out, as a lost sample"
 _BLOCK_BYTES = 1 << 20
 _MIDDLE_LINES, _MIDDLE_BYTES = 200, 1 << 16
 _MOST_SKIPPED = 1_000_000  # largest excess of other lines over samples
-
 EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
 
@@ -602,10 +600,7 @@ _FORMS = tuple(
 _VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
 _KEY = re.compile(r"tag|name|signal|variable|field|joint|axis|achse|motor_?id|node", re.IGNORECASE)
 _MOST_NAMES = 64
-TIMES = 13.0
-"""Memory, as a multiple of the file's size, for a log or Scope export whose cells are texts
-first."""
-
+TIMES = 13.0  # memory, in sizes of the file, for a log or export whose cells are texts first
 _LONGEST_EVENT = 1000
 _ALIKE = 0.8  # share of events among the first lines from which a text is a log of events
 

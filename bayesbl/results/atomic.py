@@ -20,7 +20,6 @@ from pathlib import Path
 from bayesbl.errors import ResultError
 
 STAGING = ".staging"  # suffix of the hidden folder in which an output is made
-
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 

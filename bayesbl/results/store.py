@@ -54,10 +54,7 @@ def _seal_of(file: BinaryIO, size: int) -> bytes:
 
 
 FORMAT_VERSION = 4
-
-OUTCOME = "outcome"
-"""Root attribute with the outcome of a run; absent or :data:`RUNNING` until it ends."""
-
+OUTCOME = "outcome"  # root attribute: the run's outcome; absent or :data:`RUNNING` until it ends
 RUNNING = "running"
 
 

@@ -134,7 +134,6 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
 
 
 _UNFINISHED = ".unfinished"
-
 _PART = ".part"  # suffix of a file being written; a killed writer leaves it
 
 

@@ -13,8 +13,7 @@ from bayesbl.units import STANDARD_GRAVITY
 
 USUAL_FREQUENCY_HZ = (2.0, 100.0)
 USUAL_INERTIA_RATIO = (0.05, 50.0)
-USUAL_PENDULUM_M = (0.05, 3.0)
-"""Usual for robot joints, from small arms to heavy ones; beyond, a unit is probably wrong."""
+USUAL_PENDULUM_M = (0.05, 3.0)  # for robot joints of any size; beyond, a unit is probably wrong
 
 
 def describe(path: Path, plan: Plan) -> None:

@@ -31,11 +31,8 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
 
 IDLE_S = 5.0  # silence after which ``--once`` ends
-
 CONNECTED_WITHIN_S = 10.0
-
 _HEAD_BYTES = 4_000  # size of a packet besides its message
-
 _POLL_S = 0.1
 
 

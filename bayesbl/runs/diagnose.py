@@ -99,14 +99,9 @@ def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:
         yield recording
 
 
-FEWEST_SETTINGS = 3
-"""Directions and speeds to fit on: Coulomb friction, viscous friction and a torque offset take
-three."""
-
+FEWEST_SETTINGS = 3  # directions and speeds: Coulomb and viscous friction and an offset take 3
 SAME_SPEED = 0.01  # relative difference within which recordings have the same speed
-
 FITTED = "effects are fitted on it"
-
 SPLIT_ROTATIONS = 4.0  # rotations of the load in a recording that is split: two in each half
 
 

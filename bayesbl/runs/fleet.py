@@ -57,11 +57,7 @@ from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan
 
 DRAWS_FOLDER = "draws.zarr"
-
-LARGEST_FITS_BYTES = 2_000_000_000
-"""Total size of finished fits (300 kB each), from which changes are computed; the oldest are
-deleted."""
-
+LARGEST_FITS_BYTES = 2_000_000_000  # of finished fits (300 kB each), for changes; the oldest go
 KEPT = ".kept"  # suffix of the hidden folder of answers
 MOST_URGENT = 20  # number of joints in the summary; the tables have all
 

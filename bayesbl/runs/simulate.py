@@ -27,9 +27,7 @@ from bayesbl.results.identified import bench_from
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
 
 BYTES_PER_SAMPLE = 400.0  # memory for a simulated sample: its channels, and all of them as text
-
-SECONDS_PER_SAMPLE, SECONDS_PER_SECOND = 5e-6, 1e-4
-"""Time to write a sample, and to integrate a second of the bench's time."""
+SECONDS_PER_SAMPLE, SECONDS_PER_SECOND = 5e-6, 1e-4  # to write a sample, to integrate a second
 
 
 def run_simulate(

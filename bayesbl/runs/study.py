@@ -67,7 +67,6 @@ if TYPE_CHECKING:
 
 
 Table = Mapping[str, Any]  # A row as the configuration states it
-
 REQUIRED = ("count", "run_case", "summarise")
 
 OWN_COLUMNS = {

@@ -44,12 +44,8 @@ from bayesbl.results.work import WorkStore
 from bayesbl.runs.fleet import KEPT
 
 SETTLED_S = 5.0  # time without a change of size or date after which a file is complete
-
 POLL_S = 1.0
-
-LARGEST_KEPT_BYTES = 500_000_000
-"""Total size of answers, and of finished fits; the oldest are deleted."""
-
+LARGEST_KEPT_BYTES = 500_000_000  # of answers, and of finished fits; the oldest are deleted
 LAST_SENT_WAIT_S = 30.0  # how long a run that ends waits for the broker
 
 

@@ -39,9 +39,7 @@ BAND = "#a6cee3"
 LIMIT = "#000000"
 WITHHELD = "#b0b0b0"
 NEUTRAL = "#404040"
-
 GAP = "delta_rad"  # name of the gap in a posterior
-
 _TEXTS = [f"{of}size" for of in ("font.", "axes.title", "axes.label", "xtick.label", "ytick.label")]
 _TEXTS += ["legend.fontsize"]
 _LINES = ("axes.linewidth", "patch.linewidth", "xtick.major.width", "ytick.major.width")
@@ -155,7 +153,6 @@ def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> lis
 
 
 MOST_COLUMNS = 2
-
 LINE_IN = 0.15  # height of a legend's line
 
 

@@ -25,9 +25,7 @@ from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of_text
 
 _MOST_COLUMNS = 1000
-_MOST_LINES = 2**20
-"""Excel's limit. A damaged file may have any line number, and all lines before it would be made."""
-
+_MOST_LINES = 2**20  # Excel's limit; a damaged file may claim any line, and all are made
 _HEAD, _MIDDLE = 400, 200
 
 

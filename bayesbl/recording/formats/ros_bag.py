@@ -89,8 +89,7 @@ class _Rows:
         self.received_ns.append(received_ns)
 
 
-_Series = dict[tuple[str, str], _Rows]
-"""Messages by topic and joint; the joint is empty except for JointState."""
+_Series = dict[tuple[str, str], _Rows]  # by topic and joint, which is empty except for JointState
 
 
 def _series(reader: Any) -> _Series:
