@@ -37,8 +37,7 @@ class Takes:
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """The function with its arguments converted as annotated. Raises UserError for an invalid
-    one."""
+    """The function with its arguments converted as annotated; UserError for an invalid one."""
     signature = inspect.signature(function)
 
     @wraps(function)

@@ -91,10 +91,7 @@ class NeedsBench(RecordingError):
 
 
 class NoFlankChange(RecordingError):
-    """The load stays on one tooth flank, or nothing shows otherwise, so no gap is visible.
-
-    ``MOTION`` says what would show the gap.
-    """
+    """The load stays on one flank, or may: no gap is visible. ``MOTION`` is what would show it."""
 
     code = "no_flank_change"
     MOTION = (

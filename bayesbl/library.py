@@ -347,10 +347,7 @@ def draw(
 
 
 def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | None = None) -> None:
-    """Require a study file for the result of a study, and for no other.
-
-    Raises ResultError, with the result if it is given.
-    """
+    """Require a study file for a study's result, and for no other; else raise ResultError."""
     if (tree.attrs["kind"] == "study") is not (study is not None):
         raise ResultError(
             "The figure of a study, and no other, is drawn by its study file.",

@@ -152,8 +152,7 @@ def repeats_beyond_noise(
 
 
 def bench_lacks(parameters: Sequence[Mapping[str, Any]], alike: Sequence[str]) -> str:
-    """Values that explain the recordings but differ from the bench, and what would look the
-    same."""
+    """Values that explain the recordings, unlike the bench's, and what would look the same."""
     from bayesbl.bench.effects import EFFECT_BY_NAME
 
     several = len({parameter["recording"] for parameter in parameters}) > 1

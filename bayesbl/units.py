@@ -118,8 +118,7 @@ _UNIT_OF_ENDING = {
 
 
 def quantity_and_unit(parameter: str) -> tuple[str, str]:
-    """A parameter's name in words and its unit (``friction torque``, ``N m``); the unit may be
-    empty."""
+    """A parameter's name in words and its unit, maybe empty: ``friction torque``, ``N m``."""
     for ending, unit in _UNIT_OF_ENDING.items():
         if parameter.endswith(ending):
             return parameter.removesuffix(ending).replace("_", " "), unit

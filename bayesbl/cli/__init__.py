@@ -1,7 +1,4 @@
-"""The command line and its exit statuses.
-
-``--help`` must answer at once, so nothing heavy is imported before a command needs it.
-"""
+"""Command line and exit statuses. ``--help`` answers at once: heavy imports wait for a command."""
 
 from __future__ import annotations
 

@@ -263,8 +263,7 @@ class _Document:
         return kind if isinstance(kind, str) else ""
 
     def of_kind(self, wanted: Collection[str]) -> _Document:
-        """The document itself; another kind is refused, because all of its keys would be
-        unknown."""
+        """The document itself. Another kind is refused, because all its keys would be unknown."""
         if self.kind not in FILES or self.kind in wanted:
             return self
         if self.kind == "bench":
@@ -279,10 +278,8 @@ class _Document:
         raise self._wrong_kind("This file is of another kind.", _in_words(self.kind), expected)
 
     def validated(self, model: type[_Model]) -> _Model:
-        """The configuration.
-
-        Raises ConfigError with all problems; it names the file if all of them are in the text.
-        """
+        """The configuration. Raises ConfigError with all problems, and the file if all are in
+        it."""
         try:
             return model.model_validate(self.tables, context={BASE_DIRECTORY: self.directory})
         except ValidationError as error:

@@ -1,5 +1,4 @@
-"""A message broker (MQTT 5): its address, our credentials, its refusals, and a sender of
-answers."""
+"""A message broker (MQTT 5): its address, our credentials, its refusals; a sender of answers."""
 
 from __future__ import annotations
 
@@ -100,10 +99,7 @@ def read_address(url: str) -> Address:
 
 
 def read_credentials(file: Path | None) -> Credentials:
-    """Credentials from a TOML file that nobody else can read.
-
-    Raises ConfigError, which repeats nothing of the file.
-    """
+    """Credentials from a TOML file of the user's alone; the ConfigError repeats nothing of it."""
     if file is None:
         return Credentials()
     expected = 'user = "…", password = "…" and, if need be, ca = "ca.crt"'
@@ -142,10 +138,7 @@ def stays_known_by(folder: Path) -> str:
 def make_client(
     address: Address, credentials: Credentials, name: str, *, acknowledge_by_hand: bool
 ) -> Client:
-    """A client that is not connected yet.
-
-    Raises ConfigError without paho-mqtt, or if the authority's certificate is invalid.
-    """
+    """A client, not connected. Raises ConfigError without paho-mqtt or a valid certificate."""
     try:
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion

@@ -112,10 +112,7 @@ class _RecordingRow(_Row):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A recording of a joint.
-
-    ``reason``: why it cannot be used; ``sha256``: of its bytes, once they were read.
-    """
+    """A recording of a joint. ``reason``: why it is of no use; ``sha256``: of bytes once read."""
 
     joint: str
     date: str

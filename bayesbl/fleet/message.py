@@ -78,10 +78,7 @@ _Row = create_model("_Row", __base__=_Strict, **_COLUMNS)
 
 
 def decoded_answer(message: bytes) -> dict[str, Any]:
-    """The row in a message, with every column.
-
-    Raises ValueError, with a reason that may be printed, if it is no valid answer.
-    """
+    """The row in a message, with every column. The ValueError's reason may be printed."""
     if len(message) > LARGEST_MESSAGE_BYTES:
         raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
     try:

@@ -34,10 +34,7 @@ _BESIDE = ".growing"
 
 @dataclass(slots=True)
 class RecordingTable:
-    """Rows in memory, by joint, date and file, and their file.
-
-    ``beside``: a locked hidden folder for the writer's own data.
-    """
+    """Rows and their file. ``beside``: a locked hidden folder for the writer's own data."""
 
     path: Path
     beside: Path

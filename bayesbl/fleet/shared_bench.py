@@ -38,10 +38,7 @@ _EDGE = 1e-4  # shares of a flat prior beyond which draws are at its edge (3.7 d
 def as_normal(
     unknowns: Sequence[Unknown], draws: Sequence[FloatArray], joint: JointNormal | None
 ) -> FloatArray:
-    """Draws in coordinates with a standard normal prior, shape (unknown, draw).
-
-    ``joint``: the common prior of some of the unknowns.
-    """
+    """Draws with a standard normal prior, (unknown, draw); ``joint``: prior of some together."""
     normals = np.array([_alone(u, values) for u, values in zip(unknowns, draws, strict=True)])
     if joint is None:
         return normals
@@ -63,8 +60,7 @@ def _alone(unknown: Unknown, values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MatchedAlone:
-    """Posterior of one recording: ``gap_rad``, shape (draw,), and ``bench``, shape (unknown,
-    draw)."""
+    """Posterior of one recording: ``gap_rad``, (draw,), and ``bench``, (unknown, draw)."""
 
     gap_rad: FloatArray
     bench: FloatArray
@@ -144,8 +140,7 @@ def other_benches(alone: Sequence[MatchedAlone], names: Sequence[str]) -> dict[i
 def _difference(
     one: MatchedAlone, others: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Difference between the recording's mean and that expected from the others, and its
-    covariance."""
+    """The recording's mean minus that expected from the others, and its covariance."""
     mean, covariance = others
     values, vectors = np.linalg.eigh(one.covariance)
     shares = np.minimum(values, 1.0)

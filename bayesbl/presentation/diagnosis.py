@@ -271,10 +271,7 @@ def compared_pieces(
 
 
 def removed(closed: float | None) -> str:
-    """Share of the model error that naming removes, at most all of it.
-
-    Stored values may exceed 1, because the noise floor is an estimate.
-    """
+    """Share of the model error that naming removes; at most 1, though the floor is estimated."""
     if closed is None:
         return "–"
     shown = number(100.0 * min(closed, 1.0), 1)

@@ -120,10 +120,7 @@ _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 def blocks(
     summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary, *, is_told: bool = False
 ) -> Iterator[Block]:
-    """Sentences and table of the wear of a dated comparison.
-
-    ``is_told``: the reason for a missing rate was printed before.
-    """
+    """Sentences and table of wear. ``is_told``: why there is no rate was printed before."""
     if spans_repair(summary, wear):
         yield Sentence(
             f'The joint was repaired before "{wear["snapshots"][0]}": the change from first to '

@@ -123,8 +123,7 @@ _NAMED_MONTH = re.compile(
 
 
 def _stamp(text: str) -> re.Match[str] | None:
-    """Match a date or time of day; months may be named: ``14-Mar-26 08:12:33``,
-    ``Mar 14, 2026``."""
+    """Match date or time; months may be named: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
     text = _COMPACT.sub(r"\1-\3-\4T\5:\7:\8", text)
     named = _NAMED_MONTH.match(text)
     if named and bool(named[1]) != bool(named[3]):

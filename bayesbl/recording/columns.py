@@ -188,8 +188,7 @@ def _bracketed(name: str) -> StatedUnit | None:
 
 
 def _ending(name: str) -> StatedUnit:
-    """The unit at the end of a name, the longest that fits; a number before it is an index or a
-    question."""
+    """The longest unit that a name ends with; a number before it is an index or a question."""
     name = _INDEX.sub("", name.strip())
     for at in (boundary.start() for boundary in _BOUNDARY.finditer(name)):
         text = name[at:].strip()

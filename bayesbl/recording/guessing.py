@@ -363,8 +363,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
 
 
 def _no_motor(named: Sequence[_Named]) -> str:
-    """The question for the motor's column; a column of the joint or load will do with the gear
-    ratio."""
+    """The question for the motor's column; with the gear ratio, one of the load will do."""
     kinds = f"{_NAMES_OF[MOTOR_SPEED]} {_NAMES_OF[MOTOR_POSITION]}"
     behind = (c.name for c in named if c.is_called(_LOAD) and c.is_called(kinds))
     name = next(behind, None)
@@ -372,8 +371,7 @@ def _no_motor(named: Sequence[_Named]) -> str:
 
 
 def _of_joined(guess: Guess, joined: ArrayTable, table: ArrayTable) -> Guess:
-    """The guess without spare columns that have fewer values than the needed ones, because the
-    slowest column sets the times of all."""
+    """The guess without spare columns of fewer values: the slowest column sets all times."""
     counts = {name: np.isfinite(joined.numbers([name])).sum() for name in joined.columns}
     needed = [counts[c.name] for c in guess.columns if c.needed and c.name in counts]
     columns = [c for c in guess.columns if c.needed or counts[c.name] >= min(needed)]
@@ -514,10 +512,7 @@ def _pair_of_positions(named: Sequence[_Named], chosen: Mapping[str, _Named]) ->
 
 
 def _called(sides: Sequence[_Named]) -> list[tuple[bool, bool]]:
-    """How much the names of two positions suggest the motor; equal if they do not tell.
-
-    Beside theta (motor), q is the link.
-    """
+    """How much the names of two positions suggest the motor. Beside theta, q is the link."""
     by_words, by_symbols = (
         [(c.is_called(motor), not c.is_called(load)) for c in sides]
         for motor, load in ((_MOTOR, _LOAD), ("theta", "q"))
@@ -607,8 +602,7 @@ def _of_motor(
 
 
 def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
-    """A column with its words; ``group`` is the part of its name before the slash, which may tell a
-    side."""
+    """A column with its words; ``group`` is the name before the slash, which may tell a side."""
     stated = stated_unit(table, name, name.removeprefix(f"{group}/"))
     if stated.unknown and table.timestamps(name) is not None:  # time [hh:mm:ss]
         stated = replace(stated, unknown=None)
@@ -856,8 +850,7 @@ def _as_long(clock: _Named, dates: _Named, units: Iterable[str] = ()) -> list[st
 
 
 def _unlike_dates(clock: _Named, beside: Sequence[_Named], guesses: Sequence[GuessedColumn]) -> str:
-    """A question if a numeric time is longer or shorter than the dates beside it, or its unit
-    unknown."""
+    """A question if a time is longer or shorter than the dates beside it, or has no unit."""
     unit = next(c.unit for c in guesses if c.channel == TIME)
     dates = next((c for c in beside if c.has_dates), None)
     if dates is None or clock.stamps is not None:
@@ -874,8 +867,7 @@ def _unlike_dates(clock: _Named, beside: Sequence[_Named], guesses: Sequence[Gue
 
 
 def _series(column: _Named) -> FloatArray:
-    """Values of a column that every recording needs, shape (n,); refused with fewer than two
-    numbers."""
+    """Values of a column that every recording needs, (n,); refused with fewer than two."""
     if (count := int(np.isfinite(column.values).sum())) < 2:
         if column.stamps is None:
             stamps_and_values(column.table, column.name)  # says where a text is

@@ -42,10 +42,7 @@ def read_input(path: Path) -> bytes:
 
 
 def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> bytes:
-    """Bytes of a file that a user names.
-
-    Raises ``refusal``, with ``expected``, if there is no such file or it cannot be read.
-    """
+    """Bytes of a file that a user names; else ``refusal`` is raised, with ``expected``."""
     try:
         return read_input(path)
     except (FileNotFoundError, NotADirectoryError):

@@ -94,8 +94,7 @@ def _broken(kind: str, file: Path, status: int) -> RecordingError:
 
 
 def answer(request: dict[str, object]) -> None:
-    """The child's part: read bytes from standard input, write a table or an error to standard
-    output."""
+    """The child's part: bytes from standard input, a table or an error to standard output."""
     stream = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no part of the answer
     with suppress(ValueError):

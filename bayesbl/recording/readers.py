@@ -162,8 +162,7 @@ def read_recording(
 
 
 def read_table(path: str | Path) -> ArrayTable:
-    """Columns of a file before any mapping. Raises RecordingError if the file is not a readable
-    table."""
+    """Columns of a file before any mapping. RecordingError if it is no readable table."""
     path = Path(path)
     return _parsed(path)[0]
 

@@ -126,8 +126,7 @@ def _most_alike(values: FloatArray, stated: float) -> float | None:
 
 
 def _mean_square(values: FloatArray, stated: float) -> Callable[[FloatArray], FloatArray]:
-    """Mean square of the differences between values (n,) and themselves whole periods later, as a
-    function of the period."""
+    """Mean square of values (n,) minus those whole periods later, as a function of the period."""
     size = values.size
     products = np.fft.irfft(np.abs(np.fft.rfft(values, 2 * size)) ** 2)
     energy = np.concatenate([[0.0], np.cumsum(values**2)])
@@ -218,8 +217,7 @@ def _of_impacts(gain: FloatArray) -> float:
 
 
 def _differs(values: FloatArray, period: float) -> FloatArray:
-    """Squared deviation of rotations of values (n,) from their mean, by part of a rotation,
-    (PLACES,)."""
+    """Squared deviation of rotations of values (n,) from their mean, by place, (PLACES,)."""
     turns = _folded(values, period)
     squares = np.sum((turns - turns.mean(axis=0)) ** 2, axis=0)
     return np.array([part.sum() for part in np.array_split(squares, PLACES)])

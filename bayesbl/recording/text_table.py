@@ -150,10 +150,7 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _unit_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
-    """The unit that a column's cells state.
-
-    Raises RecordingError if they state several, because then each value has another scale.
-    """
+    """The unit that the cells state. RecordingError if several: values differ in scale."""
     cells = [row[column] for row in rows if column < len(row)]
     units = {parted(cell)[1] for cell in cells if is_value(cell)}
     if len(units) > 1:
@@ -322,8 +319,7 @@ def _of_one_key(cells: list[str]) -> list[str]:
 
 
 def _of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> tuple[str, ...]:
-    """Cells of the last row whose first cell matches, without that cell; empty if the row is too
-    long."""
+    """The last row whose first cell matches, without that cell; empty if it is too long."""
     matching = [row for row in rows if len(row) > 2 and re.search(words, row[0], re.IGNORECASE)]
     return ("", *matching[-1][1:]) if matching and not any(matching[-1][width:]) else ()
 
@@ -576,8 +572,7 @@ def _cut(
 
 
 def _series(cells: Sequence[str], unit: str, mark: str) -> AnyArray:
-    """Numbers, shape (n,), NaN if missing; texts if a cell is no number, with numbers as Python
-    writes them."""
+    """Numbers, (n,), NaN if missing; texts if a cell is none, with numbers as in Python."""
     are_dates = is_date(cells[0])
     bare = (c if c.lower() in MISSING else c.removesuffix(unit).rstrip() for c in cells)
     numbers = [None if are_dates else number_in(cell, mark) for cell in bare]

@@ -53,10 +53,7 @@ def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
 
 
 def require_replaceable(path: Path) -> None:
-    """Require a file or nothing at a path: as root, replacing could destroy a device.
-
-    Raises ResultError if there is anything else.
-    """
+    """Require a file or nothing: as root, replacing could destroy a device. ResultError else."""
     if os.path.lexists(path) and not path.is_file():
         raise ResultError(
             "This is not a file, and is not replaced by one.",

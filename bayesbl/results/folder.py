@@ -51,10 +51,7 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
 
 
 def require_inside(folder: Path, name: str) -> Path:
-    """Path of a file in a folder; only an absolute name may lead out of the folder.
-
-    Raises ResultError if a relative name leads out of it.
-    """
+    """Path of a file in a folder. ResultError if a relative name leads out of it."""
     path = folder / name
     home, place = (os.path.realpath(p) for p in (folder, path.parent))
     if not os.path.isabs(name) and Path(home) not in (Path(place), *Path(place).parents):
@@ -151,10 +148,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
 
 
 def require_no_link(folder: Path) -> None:
-    """Refuse a link in place of a folder: its target could be anybody's.
-
-    Raises ResultError with the link and its target.
-    """
+    """Refuse a link in place of a folder (ResultError): its target could be anybody's."""
     if os.path.islink(folder):
         raise ResultError(
             "There is a link where the output folder should be.",
@@ -165,10 +159,7 @@ def require_no_link(folder: Path) -> None:
 
 
 def require_no_file(folder: Path) -> None:
-    """Refuse a file in place of a folder or of a folder above it.
-
-    Raises ResultError with the file.
-    """
+    """Refuse a file in place of a folder or one above it, with a ResultError."""
     for place in (folder, *folder.parents):
         if os.path.lexists(place) and not place.is_dir():
             raise ResultError(

@@ -52,8 +52,7 @@ Facts = tuple[tuple[str, str], ...]  # what numbers depend on besides the jobs, 
 
 
 def facts(files: Iterable[str]) -> Facts:
-    """Versions, the package's code, threads of linear algebra, and the files' content in this
-    process."""
+    """Versions, the package's code, threads of linear algebra and files, in this process."""
     threads = os.environ.get(_LINEAR_ALGEBRA[0], "not set")
     return (
         *code_versions().items(),
@@ -165,8 +164,7 @@ def _run(wanted: Facts, files: tuple[str, ...], run: Callable[[J], R], job: J) -
 
 @cache
 def _require_here(wanted: Facts, files: tuple[str, ...]) -> None:
-    """Require that this worker differs in nothing; each checks itself, as workers may join
-    later."""
+    """Require that this worker is the same; each checks itself, as workers may join later."""
     from distributed import get_worker
 
     different = differences(wanted, files)

@@ -58,8 +58,7 @@ METHODS: Mapping[Method, Callable[[Task], Comparison]] = MappingProxyType(
 
 
 def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Diagnose as configured. Raises UserError if bench or recordings cannot be compared this
-    way."""
+    """Diagnose as configured. UserError if bench or recordings cannot be compared so."""
     task = task_of(config)
     diagnosis = work.get(
         "diagnosis",

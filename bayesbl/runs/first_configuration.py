@@ -23,10 +23,7 @@ from bayesbl.results.store import write_text
 
 
 def require_new(path: Path, what: str, force: bool) -> None:
-    """Require a file name that is not a recording's, of a new file or one to replace.
-
-    ``what`` names the file in the ConfigError.
-    """
+    """Require a new file, or one to replace, and no recording's name; ``what`` it is."""
     if suffix_of(path) in FORMATS:
         raise ConfigError(
             f"A {what} under this name would be taken for a recording.",

@@ -56,10 +56,7 @@ def describe(config: IdentifyConfig, plan: Plan) -> None:
 
 
 def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
-    """Bench and recordings, ready to be compared, with notes on what is assumed of them.
-
-    Raises UserError if they cannot be used.
-    """
+    """Bench and recordings, ready to be compared, with notes on what is assumed of them."""
     bench = load_bench(config.bench)
     require_gap(bench, config.bench)
     parameters = _parameters(config, bench)

@@ -116,10 +116,7 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
 
 
 def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> xr.DataTree:
-    """The result of a run; no output folder is written.
-
-    Raises UserError if the configuration cannot be used.
-    """
+    """The result of a run without an output folder. UserError if it cannot be run."""
     made: xr.DataTree = _workflow(config.kind).make(
         config, Options(progress=progress), NOTHING_KEPT
     )
@@ -178,10 +175,7 @@ def summarise(tree: Tree) -> Summary:
 
 
 def read_result(path: str | Path) -> xr.DataTree:
-    """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree`.
-
-    Raises ResultError also for an unknown kind.
-    """
+    """A result of any kind, in memory. ResultError also for an unknown kind."""
     from bayesbl.results.store import read_tree
 
     tree = read_tree(path)

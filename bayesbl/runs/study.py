@@ -323,10 +323,7 @@ def describe(config: StudyConfig, plan: Plan) -> None:
 
 
 def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:
-    """The study with its validated rows.
-
-    Raises ConfigError if the study file cannot be loaded, or refuses a row.
-    """
+    """The study with its validated rows. ConfigError if it cannot be loaded, or refuses one."""
     study = load_study(config.study)
     return study, [
         Row(table, study.count(table), study.definition(table, config.run.seed))

@@ -63,8 +63,7 @@ BENCH_DRAWS = Group(
 
 
 def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
-    """Noise-free speed over one rotation at a few gaps, starting with the arm level, for
-    figures."""
+    """Noise-free speed over a rotation at a few gaps, the arm's first, for figures."""
     gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
     level_rad = 0.5 * math.pi - bench.value("gravity_angle_rad")
     speeds = bench.simulate_many(

@@ -189,10 +189,7 @@ def grid(
 def one_panel_each(
     count: int, height_in: float, *, above: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with a panel for each snapshot, at most two in a row, with shared axes.
-
-    ``above``: room for a legend, in inches.
-    """
+    """Panels of snapshots, two in a row, with shared axes; ``above``: inches for a legend."""
     columns = min(count, MOST_COLUMNS)
     rows = math.ceil(count / columns)
     width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN

@@ -80,8 +80,7 @@ def _values(tree: xr.DataTree, path: str) -> FloatArray:
 
 
 def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Lower and upper bound of δ by each source alone, each (g,), in percent of the curve at its
-    knots."""
+    """Bounds of δ by each source alone, each (g,), in percent of the curve at its knots."""
     stored = tree["curve"].to_dataset()
     level = float(stored.attrs["level"])
     edges = (0.5 - 0.5 * level, 0.5 + 0.5 * level)
@@ -153,8 +152,7 @@ def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
 
 
 def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
-    """Sweep points with the scatter of their start angles, the polynomial alone, the narrow
-    sources."""
+    """Sweep points with the scatter of start angles, the polynomial, the narrow sources."""
     stored, sweep = tree["curve"].to_dataset(), tree["sweep"].to_dataset()
     knots = stored["knots_rpm"].values
     bands = {k: v for k, v in source_bands(tree).items() if k not in _WIDE_SOURCES}

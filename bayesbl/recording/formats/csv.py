@@ -187,10 +187,7 @@ _DIADEM_CHANNEL = b"#BEGINCHANNELHEADER"
 
 
 def read_diadem(file: Path, data: bytes) -> ArrayTable:
-    """Channels by header, with the samples of the file beside it.
-
-    Raises RecordingError if samples are missing.
-    """
+    """Channels of a header and of the samples beside it. RecordingError if some are missing."""
     header, samples = two_of(data)
     if _DIADEM_CHANNEL not in header:
         return read(file, header)

@@ -26,8 +26,7 @@ _DEEPEST = 6
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
-    """The longest table in the file. Raises RecordingError if it is not JSON, or holds no list of
-    numbers."""
+    """The longest table in the file. RecordingError if it is no JSON, or has no numbers."""
 
     text = data.decode("utf-8-sig")
     try:

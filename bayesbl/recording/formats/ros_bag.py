@@ -72,8 +72,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
 
 class _Rows:
-    """Messages of a topic or joint: header's stamp (0 if none), time of recording, both in ns, and
-    fields."""
+    """Messages: the header's stamp (0 if none) and time of recording, both in ns, and fields."""
 
     def __init__(self) -> None:
         self.stamps_ns, self.received_ns = array("q"), array("q")
