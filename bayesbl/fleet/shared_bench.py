@@ -22,10 +22,8 @@ from scipy.special import ndtri
 
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.matching.signals import SMALLEST_GAP_RAD, Unknown
-from bayesbl.probabilities import chi2_sf
+from bayesbl.probabilities import FALSE_ALARM, chi2_sf
 from bayesbl.recording.types import FloatArray
-
-FALSE_ALARM = 0.01  # probability that a recording of one joint seems to need another bench
 
 LEARNT = 0.5
 """Share of the prior's variance below which a recording determines a direction of z. At half, the
