@@ -34,7 +34,7 @@ from bayesbl.units import RPM_PER_RAD_PER_S, STANDARD_GRAVITY
 ARCMIN_PER_RAD = 60.0 * 180.0 / math.pi
 
 Values = Mapping[str, float]
-Conversion = Callable[[float, Values], float]  # from the printed number and those before it
+Conversion = Callable[[float, Values], float]  # of the printed number and those before it
 
 
 def _times(factor: float) -> Conversion:

@@ -54,7 +54,7 @@ from bayesbl.ringing.symbols import (
 from bayesbl.units import choice_of_units, is_accepted, spelled
 
 RESULT_FILE = "result.nc"  # name of a result in its output folder
-BASE_DIRECTORY = "base_directory"  # of the validation context: where relative paths start
+BASE_DIRECTORY = "base_directory"  # key of the validation context: where relative paths start
 LONGEST_NAME = 60  # letters in the name of a recording
 PUBLISHED = "published"  # the curve of the paper's eq. 4.
 

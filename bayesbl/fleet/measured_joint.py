@@ -41,7 +41,7 @@ from bayesbl.results.store import summary_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 
-REFUSED, FAILED = "refused", "failed"  # outcomes too: an unusable recording, and a bug
+REFUSED, FAILED = "refused", "failed"  # further outcomes: an unusable recording, and a bug
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ _EDGE = 1e-4  # shares of a flat prior beyond which draws are at its edge (3.7 d
 def as_normal(
     unknowns: Sequence[Unknown], draws: Sequence[FloatArray], joint: JointNormal | None
 ) -> FloatArray:
-    """Draws with a standard normal prior, (unknown, draw); ``joint``: prior of some together."""
+    """Draws, (unknown, draw), made standard normal a priori; ``joint``: prior of several."""
     normals = np.array([_alone(u, values) for u, values in zip(unknowns, draws, strict=True)])
     if joint is None:
         return normals

@@ -281,7 +281,7 @@ def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
         setter(factor * bottom, factor * top)
 
 
-_HIGHEST_VIEW = 1.3  # the view's end beyond limit and gaps; a path may run far out of it
+_HIGHEST_VIEW = 1.3  # end of the view, in multiples of limit and gaps; a path may run far out
 _LONGEST_VIEW = 3.0  # how far ahead the view extends, in times since the first snapshot in use
 
 
