@@ -171,7 +171,7 @@ def fleet_command(config: ConfigPath, **given: Any) -> None:
 
 
 def check_command(config: ConfigPath) -> None:
-    """Check everything that can be checked without running."""
+    """Check a configuration or a bench file without running it."""
     from bayesbl.presentation.terminal import say
     from bayesbl.runs.kinds import check
 
@@ -248,7 +248,7 @@ def _print_findings(plan: Plan) -> None:
     for first, *others in alike.values():
         error(make_console(stderr=True), first)
         if others:
-            say(f"The same of {', '.join(str(other.file) for other in others)}.", err=True)
+            say(f"The same applies to {', '.join(str(other.file) for other in others)}.", err=True)
     if plan.problems:
         raise typer.Exit(WRONG)
 

@@ -41,7 +41,7 @@ DISAGREE = "routes_disagree"
 """Code of the reason that two routes answer, and not alike."""
 
 SHRANK = (
-    "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "
+    "The gap shrank, which wear cannot cause: are the files in order, or was the joint repaired "
     "between them?"
 )
 
@@ -459,7 +459,7 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
         is_soon = asked is not None and asked["probability"] > 1.0 - SURE
         title = f"Plan the repair for {earliest} or earlier."
         return Advice("watch" if is_soon else "fine", title, forecast)
-    ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
+    ask = "To learn whether a repair is due, give the largest gap allowed (--limit)."
     change = None if compared is None else compared["change_rad"]
     if compared is not None and cause is not None:
         headline = in_words(summary) if rated is None else wear.headline(compared, rated)
@@ -530,7 +530,7 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
             )
         else:
             same = "same joint, controller and load"
-            yield f"Nothing but the gap changed between the snapshots: {same}."
+            yield f"Only the gap changed between the snapshots: {same}."
     interval = last["delta_rad"] or last["amplitude_rpm"]
     if interval is not None:
         yield (
@@ -559,4 +559,4 @@ def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterat
     again = "cycle" if "motion" in last else "rotation"
     yield f"Noise does not repeat from one {again} to the next, and it is steady."
     if not is_ringing_alone(summary):
-        yield "The prior makes every gap equally likely on a logarithmic scale."
+        yield "A priori, every gap is equally likely on a logarithmic scale, linear near zero."

@@ -22,7 +22,8 @@ def no_play_by_ramps(part: SnapshotSummary) -> str | None:
         up_to = f"both flanks carry the torque up to {words.with_bounds(lifts, 'N m')}"
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
-        f"These ramps show no play: the joint is stiffer around zero torque than beyond; {up_to}. "
+        "These ramps show no play: the joint is stiffer around zero torque than at larger torque; "
+        f"{up_to}. "
         f"Any gap δ that this hides is below {most} mrad."
     )
 
