@@ -358,9 +358,9 @@ def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float
     )
     return (
         "These ramps show no play: the joint is stiffer around zero torque than at larger torque "
-        f"(with {relative_compliance:.2g} times the compliance), like a preloaded joint. {evidence} The "
-        f"loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, because friction holds the "
-        "joint wound up; δ is at most half of that."
+        f"({relative_compliance:.2g} times the compliance), like a preloaded joint. {evidence} "
+        f"The loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, because friction holds "
+        "the joint wound up; δ is at most half of that."
     )
 
 
