@@ -179,7 +179,7 @@ def check_command(config: ConfigPath) -> None:
     for label, text in plan.lines:
         say(f"{label}: {text}")
     _print_findings(plan)
-    say("Ready to run.")
+    say("The bench can be used." if ("kind", "bench") in plan.lines else "Ready to run.")
 
 
 @_takes("bench out joint force")
