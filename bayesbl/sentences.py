@@ -110,8 +110,8 @@ def other_speed(curve_rpm: float, recording_rpm: float, relative_error: float) -
     return (
         f"The gap curve is for {curve_rpm:g} rpm, but the recording is at {recording_rpm:.4g} rpm, "
         f"where the same gap rings differently: δ would be about {100.0 * abs(relative_error):.0f} "
-        f"% too {side}. Record at {curve_rpm:g} rpm, sweep a bench at this speed, or allow "
-        "extrapolation by [curve] allow_extrapolation = true."
+        f"% too {side}. Record at {curve_rpm:g} rpm, sweep a bench at the recording's speed, or "
+        "allow extrapolation by [curve] allow_extrapolation = true."
     )
 
 
@@ -570,8 +570,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     NoFlankChange.code: of_flaw,
     "ringing_weak": (
         "The impact ringing is too weak: its amplitude is {deviations:.1f} standard deviations "
-        "above zero ({needed:.0f} are needed). Record more rotations, or with less noise. Where "
-        "the load stays on one tooth flank (a vertical axis, a balanced arm, a load to one side) "
+        "above zero ({needed:.0f} are needed). Record more rotations, or with less noise. If "
+        "the load stays on one tooth flank (a vertical axis, a balanced arm, a load to one side), "
         f"no impact will show: take {NoFlankChange.MOTION}."
     ),
     "ensembles_disagree": lambda symbol, r_hat, needed: (
