@@ -10,6 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
+FALSE_ALARM = 0.01
+"""Probability of a false alarm, over all that one check compares: a recording, a bench or a joint
+is called inconsistent although it is not."""
+
+LINE_FALSE_ALARM = 1e-5
+"""The same for removing a line or a drift from a recording: a false one would cost signal."""
+
 
 def normal_sf(z: float) -> float:
     """P(Z > z), Z standard normal."""

@@ -23,11 +23,8 @@ from scipy.special import ndtri
 
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.matching.signals import SMALLEST_GAP_RAD, Unknown
-from bayesbl.probabilities import chi2_sf
+from bayesbl.probabilities import FALSE_ALARM, chi2_sf
 from bayesbl.recording.types import FloatArray
-
-FALSE_ALARM = 0.01
-"""Of recordings that are said to need another bench than the others, over those of one joint."""
 
 LEARNT = 0.5
 """Share of the prior's variance below which a recording says where a direction of z lies: half of

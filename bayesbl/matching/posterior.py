@@ -22,7 +22,7 @@ from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
-from bayesbl.probabilities import chi2_sf
+from bayesbl.probabilities import FALSE_ALARM, chi2_sf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.sampling.chains import (
@@ -61,9 +61,6 @@ LARGEST_FAILED_SHARE = 0.01
 TAILS = (0.05, 0.95)
 MATTERS = 0.2
 """Share of an interval by which an error may move δ or its change without being reported."""
-CONTRADICTED_BY_CHANCE = 0.01
-"""Share of true values that contradict their prior by chance."""
-
 Side = Literal["lower", "upper"]
 
 
@@ -198,7 +195,7 @@ class DirectPosterior:
             mean, squares = float(weights.sum()), float(np.sum(weights**2))
             return float(chi2_sf(float(whitened @ whitened) * mean / squares, mean**2 / squares))
 
-        if max(map(chance, range(len(indices)))) > CONTRADICTED_BY_CHANCE:
+        if max(map(chance, range(len(indices)))) > FALSE_ALARM:
             return []
         order = np.argsort(-np.abs(deviations) / np.sqrt(np.diag(stated)))
         return [model.unknowns[indices[k]].name for k in order]
@@ -584,18 +581,15 @@ def _contradicted(
         if math.isfinite(unknown.sd):
             believed = unknown.sd**2
             low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
-            deviation, variance = (
-                float(coordinates.mean()) - unknown.centre,
-                float(coordinates.var(ddof=1)),
-            )
+            deviation = float(coordinates.mean()) - unknown.centre
+            variance = float(coordinates.var(ddof=1))
             # This many draws estimate a variance no better.
             learned_variance = max(
                 believed - variance, math.sqrt(2.0 / coordinates.size) * believed
             )
             beyond = not low < coordinates.mean() < high
-            if beyond and chi2_sf(
-                deviation**2 / learned_variance, 1.0
-            ) < CONTRADICTED_BY_CHANCE / len(precision):
+            chance_of_deviation = float(chi2_sf(deviation**2 / learned_variance, 1.0))
+            if beyond and chance_of_deviation < FALSE_ALARM / len(precision):
                 sides["upper" if deviation > 0.0 else "lower"] = (
                     abs(deviation) * variance / learned_variance
                 )
@@ -605,7 +599,7 @@ def _contradicted(
             reach = 0.5 * (high - low)
             edges: tuple[tuple[Side, float], ...] = (("lower", low), ("upper", high))
             for side, edge in edges:
-                if chance_at_edge(np.abs(coordinates - edge), high - low) < CONTRADICTED_BY_CHANCE:
+                if chance_at_edge(np.abs(coordinates - edge), high - low) < FALSE_ALARM:
                     below = side == "lower" and positive and not unknown.logarithmic
                     sides[side] = min(reach, low) if below else reach
         for side, reach in sides.items():

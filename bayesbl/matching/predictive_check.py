@@ -16,7 +16,7 @@ import numpy as np
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import degrees_of_freedom, loop_noise, rounded_rotations
 from bayesbl.matching.observed import Observed, whole_rotations
-from bayesbl.probabilities import chi2_isf, chi2_sf, f_sf
+from bayesbl.probabilities import FALSE_ALARM, chi2_isf, chi2_sf, f_sf
 from bayesbl.recording.types import ComplexArray, FloatArray
 
 BANDS = (0, 8, 32, 128, 512)
@@ -25,9 +25,6 @@ BANDS = (0, 8, 32, 128, 512)
 0 is the mean alone, which is in no other band: motor friction and offsets appear there.
 """
 
-
-FALSE_ALARM = 0.005
-"""False-alarm probability of the whole check."""
 
 CHANCE_EDGES = np.geomspace(1.0, 1e-8, 400)
 CHANCES = 0.5 * (CHANCE_EDGES[1:] + CHANCE_EDGES[:-1])

@@ -41,7 +41,7 @@ from bayesbl.measurement.same_joint import COULD_BE, RINGING, change_reason, sam
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.noise.rotation_noise import Noise
-from bayesbl.probabilities import normal_isf
+from bayesbl.probabilities import FALSE_ALARM, normal_isf
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.checks import moves
@@ -67,9 +67,6 @@ BAND_DRAWS = 100
 
 BENCHES = 12
 """Benches drawn within the tolerances that a recording is compared with."""
-
-FALSE_ALARM = 0.01
-"""Probability of calling the right bench another one, over all features of a recording."""
 
 MOVES_RINGING = {
     PROPORTIONAL,

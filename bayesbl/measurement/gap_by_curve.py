@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 from bayesbl.config.measurement import KnownGap
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve
 from bayesbl.measurement.measurement import Reason, upper_bound
-from bayesbl.probabilities import chi2_isf, normal_isf
+from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import effective_size, resampled
 
 LARGEST_SHARE_OUTSIDE = 0.01
 CANDIDATES_PER_DRAW = 20
-FALSE_ALARM = 0.005
-"""Probability of calling a consistent ringing a contradiction, over the snapshots of a run."""
-
 CONTRADICTED = "ringing_contradicts_bench"
 """Code of the reason that frequency and decay contradict the curve's bench."""
 

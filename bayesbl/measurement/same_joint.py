@@ -37,13 +37,10 @@ from bayesbl.measurement.noise_colour import (
     filter_change,
     noise_spectrum,
 )
-from bayesbl.probabilities import normal_isf
+from bayesbl.probabilities import FALSE_ALARM, normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.ringing.cleaning import MotorLine
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
-
-FALSE_ALARM = 0.01
-"""Probability of a false alarm in one comparison, over all its quantities and snapshots."""
 
 FREQUENCY, DECAY = "ringing frequency", "ringing decay"
 FILTER = "share of the ringing that is recorded"

@@ -41,7 +41,7 @@ from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Answer, Reason
 from bayesbl.measurement.summary_types import WearSummary
-from bayesbl.probabilities import normal_sf
+from bayesbl.probabilities import FALSE_ALARM, normal_sf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
@@ -213,9 +213,6 @@ FEWEST_FOR_SCATTER = 4
 
 LEAST_SHARE_GROWING = 0.01
 """Least share of growing draws; below it the gap has shrunk, which wear cannot do."""
-
-FALSE_ALARM = 0.01
-"""Probability of reporting a fall between two dates if the gap never fell."""
 
 LONGEST_YEARS = 1000.0
 """Longest time to the limit: with a rate near 0 it would have no bound."""

@@ -15,13 +15,10 @@ from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.measurement import Answer, Measurement, Reason, Task
 from bayesbl.measurement.two_encoder_route import CHANNELS, NAME, TwoEncoderMeasurer
-from bayesbl.probabilities import normal_isf
+from bayesbl.probabilities import FALSE_ALARM, normal_isf
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-FALSE_ALARM = 0.01
-"""Probability that consistent routes are said to disagree, over all snapshots of a run."""
 
 
 def disagreement(first: Measurement, second: Measurement, **values: object) -> Reason | None:

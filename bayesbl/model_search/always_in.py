@@ -41,11 +41,11 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.predictive_check import FALSE_ALARM, RepeatingPower, agrees, disagreements
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Term, search
-from bayesbl.probabilities import chi2_isf, normal_isf
+from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 

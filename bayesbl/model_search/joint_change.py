@@ -20,7 +20,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.loop_noise import noise_along
-from bayesbl.matching.predictive_check import FALSE_ALARM, is_explained
+from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import (
     CHANGED_TOGETHER,
@@ -32,7 +32,7 @@ from bayesbl.model_search.always_in import (
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
 from bayesbl.model_search.closed_loop import FittedSet, Naming, SetSearch, name_missing
 from bayesbl.model_search.refit import Explanation, columns_of
-from bayesbl.probabilities import chi2_isf, normal_isf
+from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 

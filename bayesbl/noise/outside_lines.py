@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from bayesbl.probabilities import normal_isf
+from bayesbl.probabilities import LINE_FALSE_ALARM, normal_isf
 from bayesbl.recording.types import MOTOR_SPEED, ComplexArray, FloatArray
 
 BAND_HZ = (6.0, 40.0)
@@ -30,9 +30,6 @@ SOUGHT_S = 120.0
 square of the length. A longer recording then refines the frequency."""
 
 FEWEST_STRETCHES = 20
-FALSE_ALARM = 1e-5
-"""Probability of a false alarm per recording, over all frequencies."""
-
 UNSTEADY_SHARE = 0.75
 """Largest departure of the quartiles over stretches from a line, along its phase, as a share of
 its amplitude. For ringing that filled the motor's turns, 37 cases at gear ratios 6 to 10, the
@@ -114,7 +111,7 @@ def _clearest_frequency(speed_rpm: FloatArray, period_s: float, least_rpm: float
     grid = np.arange(BAND_HZ[0], highest, spacing)
     by_stretch = _by_stretch(part, step, grid)
     line, error, unsteady = medians(by_stretch)
-    bound = normal_isf(0.5 * FALSE_ALARM / (duration * highest))
+    bound = normal_isf(0.5 * LINE_FALSE_ALARM / (duration * highest))
     size = np.abs(line)
     size[(size < np.maximum(least_rpm, bound * error)) | (unsteady > UNSTEADY_SHARE)] = 0.0
     if not size.any():

@@ -25,14 +25,11 @@ from numpy.typing import NDArray
 
 from bayesbl.noise.outside_lines import ROUNDS, UNSTEADY_SHARE, medians, subtract_line
 from bayesbl.noise.rotation_noise import bridged, estimate_noise
-from bayesbl.probabilities import chi2_isf, normal_isf
+from bayesbl.probabilities import LINE_FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, ComplexArray, FloatArray, Recording
 from bayesbl.ringing.optimum import Optimum
 from bayesbl.ringing.symbols import MEAN, ROTATION
 from bayesbl.units import RPM_PER_RAD_PER_S
-
-FALSE_ALARM = 1e-5
-"""Probability of a false alarm per recording, over all orders of lines, and for a drift."""
 
 HIGHEST_ORDER = 12
 FEWEST_SAMPLES = 2.5
@@ -64,7 +61,7 @@ def without_motor_lines(recording: Recording) -> tuple[Recording, tuple[MotorLin
         return recording, ()
     samples_per_turn = (begins[-1] - begins[0]) / (begins.size - 1)
     highest = min(HIGHEST_ORDER, int(samples_per_turn / FEWEST_SAMPLES))
-    bound = normal_isf(0.5 * FALSE_ALARM / max(2 * highest, 1))
+    bound = normal_isf(0.5 * LINE_FALSE_ALARM / max(2 * highest, 1))
     smallest = SMALLEST_LINE * 0.5 * float(np.ptp(speed))
     # The controller responds to the line: the control law holds only if both channels are cleaned.
     cleaned = {n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)}
@@ -131,7 +128,7 @@ def without_drift(
     spread = on_residual.T @ steady.covariance_times(on_residual)
     size = float(coefficients @ np.linalg.solve(spread, coefficients))
     smallest = SMALLEST_SHARE * abs(optimum.symbols[MEAN])
-    if size < chi2_isf(FALSE_ALARM, DEGREE) or np.ptp(drift) < smallest:
+    if size < chi2_isf(LINE_FALSE_ALARM, DEGREE) or np.ptp(drift) < smallest:
         return None
     level = recording.motor_speed_rpm - drift + drift.mean()
     note = f"The speed drifts by {np.ptp(drift):.2g} rpm over the recording; this was removed."

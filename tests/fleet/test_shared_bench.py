@@ -13,14 +13,9 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.parameters import JointNormal
-from bayesbl.fleet.shared_bench import (
-    FALSE_ALARM,
-    MatchedAlone,
-    as_normal,
-    other_benches,
-    paired_gaps,
-)
+from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown
+from bayesbl.probabilities import FALSE_ALARM
 
 NAMES = ["stiffness", "inertia", "gain"]
 TOLD_SD = np.array([0.05, 0.4, 8.0])
