@@ -107,8 +107,8 @@ def other_speed(curve_rpm: float, recording_rpm: float, relative_error: float) -
     return (
         f"The gap curve is for {curve_rpm:g} rpm, but the recording is at {recording_rpm:.4g} rpm, "
         f"where the same gap rings differently: δ would be about {100.0 * abs(relative_error):.0f} "
-        f"% too {side}. Record at {curve_rpm:g} rpm, sweep a bench at this speed, or allow "
-        "extrapolation by [curve] allow_extrapolation = true."
+        f"% too {side}. Record at {curve_rpm:g} rpm, sweep a bench at the recording's speed, or "
+        "allow extrapolation by [curve] allow_extrapolation = true."
     )
 
 
@@ -129,11 +129,11 @@ def repeats_beyond_noise(
     """
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part = "the part that repeats every rotation"
-    look = "`bayesbl diagnose` of recordings of one date looks for what is missing."
+    look = "`bayesbl diagnose` looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
         part = "the residual"
-        look = "`bayesbl identify` of some recordings, with --effects catalogue, looks for it."
+        look = "`bayesbl identify` with `--effects catalogue` looks for what is missing."
     if could_be:
         look = f"{' or '.join(could_be)} would explain most of it; {look}"
     where = (
@@ -166,7 +166,7 @@ def bench_lacks(parameters: Sequence[Mapping[str, Any]], alike: Sequence[str]) -
         [
             "The joint differs from its bench: the recordings show "
             f"{' and '.join(shown)}.{others} δ and its interval allow for that. Correct the bench "
-            "file (`bayesbl diagnose` writes one with what is missing).",
+            "file (`bayesbl diagnose` writes a corrected one).",
             *(e.in_bench_file for e in dict.fromkeys(effects) if e and e.in_bench_file),
         ]
     )
@@ -217,10 +217,10 @@ def filter_changed(least_share: float, recording: str = "") -> str:
     """The filter of the recorded speed changed, by the colour of its noise."""
     direction = "raise" if least_share > 0.0 else "lower"
     return (
-        f"The spectrum of the speed's noise changed{_in(recording)}, as after another filter or "
-        f"with noise from another source. Such a filter alone would {direction} the ringing by "
-        f"{100.0 * abs(least_share):.2g} % or more. Record all snapshots through the same filter, "
-        "or the motor current as well."
+        f"The spectrum of the speed's noise changed{_in(recording)}, as if the speed were "
+        "filtered differently or the noise had another source. Such a filter alone would "
+        f"{direction} the ringing by {100.0 * abs(least_share):.2g} % or more. Record all "
+        "snapshots through the same filter, or the motor current as well."
     )
 
 
@@ -355,10 +355,10 @@ def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float
         else f"Both flanks carry the torque up to about {lifts_nm:.2g} N m, where one lifts."
     )
     return (
-        "These ramps show no play: the joint is stiffer around zero torque than beyond (with "
-        f"{relative_compliance:.2g} times the compliance), like a preloaded joint. {evidence} The "
-        f"loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, because friction holds the "
-        "joint wound up; δ is at most half of that."
+        "These ramps show no play: the joint is stiffer around zero torque than at larger torque "
+        f"({relative_compliance:.2g} times the compliance), like a preloaded joint. {evidence} "
+        f"The loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, because friction holds "
+        "the joint wound up; δ is at most half of that."
     )
 
 
@@ -370,10 +370,10 @@ def soft_flanks(relative_compliance: float, times: float, share: float) -> str:
         else f"{100.0 * share:.0f} % of δ, and more if softer"
     )
     return (
-        f"Around zero torque the joint is {relative_compliance:.2g} times as soft as beyond. "
-        "Flanks that are soft at small torque, as in a strain wave gear, look like play, and the "
-        f"probability of play ignores them: flanks {times:.0f} times as soft, which is common, "
-        f"would explain {part}. That part is lost motion."
+        f"Around zero torque the joint is {relative_compliance:.2g} times as soft as at larger "
+        "torque. Flanks that are soft at small torque, as in a strain wave gear, look like play, "
+        f"and the probability of play ignores them: flanks {times:.0f} times as soft, which is "
+        f"common, would explain {part}. That part is lost motion."
     )
 
 
@@ -408,7 +408,7 @@ def gap_unseen(
     bound = ""
     if bound_rad is not None:
         side = "larger" if is_larger else "smaller"
-        bound = f"It is {side} than {1e3 * bound_rad:.2g} mrad ({level:.0%}). "
+        bound = f"It is {side} than {1e3 * bound_rad:.2g} mrad ({100.0 * level:.0f} %). "
     wanted = (
         "takes the load through the angle at which gravity's torque changes its sign (hanging "
         "straight down or standing upright), or one that brakes and accelerates the load harder "
@@ -449,8 +449,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "curve_scaled": "A known gap scales the curve: every gap is {scale:.3g} times the curve's.",
     "known_gaps_disagree": (
-        "The known gaps are not on one curve, whatever its scale. Check them, and the recordings "
-        "to which they belong."
+        "No scale of the curve fits all known gaps. Check them, and the recordings to which they "
+        "belong."
     ),
     "beyond_curve": beyond_curve,
     "box_search_missed": (
@@ -533,7 +533,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # What limits an answer.
     "by_amplitude_instead": by_amplitude_instead,
     "no_current": (
-        "There is no motor current in the recording, so only the speed was used: with the "
+        "The recording has no motor current, so only the speed was used. With the "
         "current, the interval of δ would be several times narrower."
     ),
     "widened": (
@@ -568,8 +568,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     NoFlankChange.code: of_flaw,
     "ringing_weak": (
         "The impact ringing is too weak: its amplitude is {deviations:.1f} standard deviations "
-        "above zero ({needed:.0f} are needed). Record more rotations, or with less noise. Where "
-        "the load stays on one tooth flank (a vertical axis, a balanced arm, a load to one side) "
+        "above zero ({needed:.0f} are needed). Record more rotations, or with less noise. If "
+        "the load stays on one tooth flank (a vertical axis, a balanced arm, a load to one side), "
         f"no impact will show: take {NoFlankChange.MOTION}."
     ),
     "ensembles_disagree": lambda symbol, r_hat, needed: (
@@ -579,8 +579,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "ensembles_differ": "R̂ of {symbol} is {r_hat:.3f} (below {good} is good).",
     "ensemble_stuck": (
-        "Ensemble {number} of {ensembles} is stuck: it accepted {share:.1%} of its proposals (at "
-        "least {needed:.0%} is needed)."
+        "Ensemble {number} of {ensembles} is stuck: it accepted {share:.1f %} of its proposals (at "
+        "least {needed:.0f %} is needed)."
     ),
     "walker_stuck": "A chain never moved: it is stuck, and its ensemble cannot be trusted.",
     "chain_short": (
@@ -591,12 +591,12 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "few_effective": "Only {draws:.0f} effective draws of {symbol}.",
     "bounds_moved": "The interval's bounds still moved at the last check.",
     "draws_at_bound": (
-        "{share:.0%} of the draws of {symbol} are at a bound of its range: the range, not the "
+        "{share:.0f %} of the draws of {symbol} are at a bound of its range: the range, not the "
         "recording, decides there."
     ),
     "other_optimum": (
         "The posterior has several modes: another optimum, A = {amplitude_rpm:.3g} rpm, explains "
-        "the recording nearly as well (probability {share:.0%} against the chosen one). Record "
+        "the recording nearly as well (probability {share:.0f %} against the chosen one). Record "
         "more rotations, or use a curve swept for this bench, which can tell them apart."
     ),
     "other_shape": (
@@ -610,7 +610,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "torque filter adds to delay_periods."
     ),
     "simulations_failed": (
-        "{share:.0%} of the simulations near the optimum failed: the bench cannot run there."
+        "{share:.0f %} of the simulations near the optimum failed: the bench cannot run there."
     ),
     "at_edge": (
         "The recordings put {name} at the {side} edge of its tolerance or beyond ({low:.4g} to "
@@ -646,24 +646,24 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Of wear.
     "other_benches": (
         "Something other than the gap changed between the recordings, so the change of δ is "
-        "withheld: {needed} would need another bench than the rest. Run `bayesbl compare` on these "
-        "recordings to find what changed."
+        "withheld: no bench explains {needed} and the other recordings together. Run `bayesbl "
+        "compare` on these recordings to find what changed."
     ),
     "one_date": one_date,
     "gap_withheld": "The gap is withheld for {names}.",
     "gap_fell": (
         "{name} is {fall_rad:.3f mrad} below the snapshot before it "
-        "({standard_deviations:.1f} standard deviations), and wear does not heal. "
+        "({standard_deviations:.1f} standard deviations), but wear cannot shrink a gap. "
         f"{UNLESS_REPAIRED}"
     ),
-    "gap_shrank": f"The gap shrank, and wear does not heal. {UNLESS_REPAIRED}",
+    "gap_shrank": f"The gap shrank, which wear cannot cause. {UNLESS_REPAIRED}",
     # Of ramps of torque.
     "ramps_held": ramps_held,
     "no_play": no_play,
     "play_unsure": (
         "There may be no play (probability of play {probability:.0f %}): around zero torque the "
-        "joint is {relative_compliance:.2g} times as soft as beyond, but this differs between "
-        "positions. The interval of δ allows for zero play."
+        "joint is {relative_compliance:.2g} times as soft as at larger torque, but this differs "
+        "between positions. The interval of δ allows for zero play."
     ),
     "soft_flanks": soft_flanks,
     "ramps_skipped": lambda skipped_nm, amplitude_nm: (

@@ -9,6 +9,7 @@ writes ``docs/results.md`` from the types and declarations that the program itse
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from importlib import import_module
 from itertools import groupby
@@ -144,15 +145,23 @@ def _variables() -> Iterator[str]:
         "and coordinates ending in `_`, which repeat those without it.\n"
     )
     listed: list[Group] = []
-    yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
+    sections: dict[str, list[str]] = {}
     for title, module in GROUPS.items():
-        yield f"| **{title}** | | | |"
         own = list(_groups(vars(import_module(module)).values(), listed))
         listed += own
-        for group in own:
-            for variable in (*group.variables, *group.coordinates):
-                if variable.name not in ("chain", "draw") and not variable.name.endswith("_"):
-                    yield _row(group, variable)
+        sections[title] = [
+            _row(group, variable)
+            for group in own
+            for variable in (*group.variables, *group.coordinates)
+            if variable.name not in ("chain", "draw") and not variable.name.endswith("_")
+        ]
+    times = Counter(row for rows in sections.values() for row in rows)
+    yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
+    yield "| **Of several routes** | | | |"
+    yield from (row for row, count in times.items() if count > 1)
+    for title, rows in sections.items():
+        yield f"| **{title}** | | | |"
+        yield from (row for row in rows if times[row] == 1)
     yield ""
 
 

@@ -19,7 +19,7 @@ _UsageError: Any = typer.BadParameter.__bases__[0]  # click's, or that of typer'
 INTERRUPTED = 130  # status with which typer ends after Ctrl-C
 
 app = typer.Typer(
-    help="The backlash gap of a robot joint, and how it changed, from recordings of motor speed.",
+    help="Measure the backlash gap of a robot joint, and its growth, from recordings of the motor.",
     epilog="Exit status: 0 done, 2 wrong usage, configuration or input, 3 answer withheld, "
     "1 anything else.",
     rich_markup_mode=None,
@@ -122,6 +122,6 @@ def status(arguments: Sequence[str] | None = None) -> int:
         say(traceback.format_exc(), err=True)
         return FAILED
     if code == INTERRUPTED:
-        say("Interrupted; nothing was written over.", err=True)
+        say("Interrupted; nothing was overwritten.", err=True)
         return FAILED
     return code or 0

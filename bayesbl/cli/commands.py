@@ -152,7 +152,8 @@ _TYPES: Mapping[str, Any] = {
 
 _OPTIONS = """
 config | path | FILE | Configuration; options override it.
-out | path | FOLDER | Output folder. [default: results/NAME, or results/COMMAND_NAME]
+out | path | FOLDER | Output folder. [default: the configuration's, else results/CONFIG or
+    results/COMMAND_RECORDING]
 seed | whole | N | Seed of all random numbers. [default: 1]
 workers | whole | N | Largest number of processes; results do not depend on it. [default: all
     cores]
@@ -167,8 +168,10 @@ route | text | auto|amplitude|direct|torque_ramp|two_encoders | How to measure: 
     simulations of the bench (direct), by the ringing's amplitude and a curve (amplitude), by both
     (auto), by ramps of torque with the output held, or by encoders of motor and load. [default:
     auto with a bench]
-start_from | path | RESULT | Earlier result of this joint: the search starts from its optimum.
-check_sampler | flag | - | Sample again with a nested sampler, and report differences.
+start_from | path | RESULT | Earlier result of this joint, from whose optimum the search of the
+    ringing starts.
+check_sampler | flag | - | Sample the ringing's posterior again by nested sampling, and report
+    differences.
 limit | text | LIMIT | Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at
     0.4 m", "1 arcmin lost_motion at 3 %" (of the rated torque).
 limit_rad | number | RAD | Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ
@@ -177,7 +180,8 @@ before | date | DATE | Also report the probability that the gap passes its limit
     date.
 dates | dates | DATE | When a recording was taken; once per recording, in the same order.
 gear_ratio | number | N | Motor turns per turn of the load.
-upright | flag | - | Gravity does not turn the joint: its axis is vertical, or its load balanced.
+upright | flag | - | Gravity does not turn the joint: its axis is vertical or its load is
+    balanced.
 level | number | P | Level of the credible intervals. [default: 0.9]
 range_rad | pair | LOW HIGH | Load angles that a planned motion may reach, in rad; 0 hangs
     straight down. [default: -0.5 0.5]
@@ -187,7 +191,7 @@ duration_s | number | S | Length of the recording. [default: 20]
 gap_rad | number | RAD | Gap that the plan is calculated for. [default: 0.0008]
 init.bench | flag | - | Write joint.toml instead, a data sheet of the joint to fill in.
 init.out | path | FILE | The file to write. [default: RECORDING.toml]
-init.joint | text | NAME | Which joint, if a file has several.
+init.joint | text | NAME | The joint to choose, if a file has several.
 init.force | flag | - | Replace the file.
 watch.out | path | FOLDER | Folder of recordings.parquet. [default: [run] output + _watched]
 watch.publish | text | URL | Send each answer to a broker too: mqtts://broker/topic.
@@ -267,7 +271,7 @@ def fleet_command(config: ConfigPath, **given: Any) -> None:
 
 
 def check_command(config: ConfigPath) -> None:
-    """Check everything that can be checked without running."""
+    """Check a configuration or a bench file without running it."""
     from bayesbl.presentation.terminal import say
     from bayesbl.runs.kinds import check
 
@@ -275,14 +279,14 @@ def check_command(config: ConfigPath) -> None:
     for label, text in plan.lines:
         say(f"{label}: {text}")
     _print_findings(plan)
-    say("Ready to run.")
+    say("The bench can be used." if ("kind", "bench") in plan.lines else "Ready to run.")
 
 
 @_takes("bench out joint force")
 def init_command(
     recordings: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="RECORDING", help="One to fit, several to compare."),
+        typer.Argument(metavar="RECORDING", help="One recording to fit, or several to compare."),
     ] = None,
     **given: Any,
 ) -> None:
@@ -347,7 +351,7 @@ def _print_findings(plan: Plan) -> None:
     for first, *others in alike.values():
         error(make_console(stderr=True), first)
         if others:
-            say(f"The same of {', '.join(str(other.file) for other in others)}.", err=True)
+            say(f"The same applies to {', '.join(str(other.file) for other in others)}.", err=True)
     if plan.problems:
         raise typer.Exit(WRONG)
 

@@ -364,7 +364,7 @@ class BaseSection(_Spring):
 class GapSection(Section):
     """``[gap]``: how the gap varies with the load's angle, as shares of its mean.
 
-    δ (1 + Σ_k cosine[k] cos kθ_l + sine[k] sin kθ_l), with at most two harmonics.
+    The gap is δ (1 + Σ_k cosine[k] cos kθ_l + sine[k] sin kθ_l), with at most two harmonics.
     """
 
     cosine: Items[EffectValue] = ()

@@ -387,8 +387,8 @@ class DiagnoseConfig(RecordedConfig):
         if "split" not in uses and uses != {"fit", "hold_out"}:
             missing = "held out" if "fit" in uses else "to fit on"
             refuse(
-                f"There is nothing {missing}: an effect is named only if it also predicts what it "
-                "was not fitted on.",
+                f"There is nothing {missing}: held-out data show how much of the disagreement an "
+                "effect removes.",
                 found=", ".join(f'{r.name}: use = "{r.use}"' for r in self.recordings)
                 or "no recordings",
                 expected='use = "hold_out" for one recording, or "split"',

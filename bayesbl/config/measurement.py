@@ -302,8 +302,8 @@ class Curve(Section):
 
 
 class KnownGap(Section):
-    """``[recordings.known_gap]``: δ at the date of the recording, as two encoders or a dial gauge
-    measured it."""
+    """``[recordings.known_gap]``: the gap δ at the date of the recording, as two encoders or a dial
+    gauge measured it."""
 
     delta_rad: Positive
     sd_rad: Positive

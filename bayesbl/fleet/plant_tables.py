@@ -151,7 +151,7 @@ JOINT_COLUMNS = _columns("""
     cost_at_limit | double | what reaching the limit costs, from the inventory
     expected_cost | double | cost_at_limit times probability_limit_before, or, without a rate,
         times probability_limit_now, which is no larger; null without a gap
-    alarm | bool | whether it is called over its limit; at most 5 % of these calls are false
+    alarm | bool | whether it is flagged as over its limit; at most 5 % of the flags are false
     rank | int64 | 1 reaches its limit first, or costs most if costs are given; null without a date
     reason | string | why there is no rate; null if a rate is given
 """)

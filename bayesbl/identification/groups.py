@@ -73,7 +73,7 @@ class ParameterSummary(TypedDict):
 
 
 class EffectFound(TypedDict):
-    """A missing or fitted effect; it has parameters if the identified bench has the effect."""
+    """A missing or fitted effect; it has ``parameters`` if it is in the identified bench."""
 
     name: str
     parameters: dict[str, Interval | HeldValue]

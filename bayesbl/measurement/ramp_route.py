@@ -598,7 +598,7 @@ POSTERIOR = Group(
                 | position over torque by least squares along the largest ramps, both sides
             friction_torque_nm (chain, draw) | N m | friction over the range of the ramps
             held_windup_rad (chain, draw) | rad
-                | part of δ: compliance that friction holds at zero torque, if flanks do not harden
+                | wind-up held by friction, in half the width, if no flank is soft at small torque
             preload_torque_nm (chain, draw) | N m
                 | torque at which a preloaded joint's flank lifts; 0 with play, NaN where not seen
         """),

@@ -13,8 +13,8 @@ from bayesbl.sampling.convergence import Outcome
 class ReasonSummary(TypedDict):
     """Why an answer is withheld or limited, or is the answer; programs should read ``code``.
 
-    It also has each number and name in its sentence as a key. ``recordings``: those that it
-    concerns, if not all. ``also``: further reasons, which ``text`` includes. In the diagnostics,
+    Each number and name in its sentence is a key too. ``recordings``: those that it concerns, if
+    not all. ``also``: further reasons, which ``text`` includes. In the diagnostics,
     ``withholds`` says whether δ is withheld, ``because`` why another route has no answer. The
     reason of the answer names its ``route``.
     """
@@ -163,8 +163,8 @@ class RouteSummary(_OfSomeRoutes):
     ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
     gap.
 
-    Keys that are also variables of ``result.nc`` are explained there; of draws they are intervals,
-    ``None`` where a variable is NaN. ``preloaded``: ramps of torque show no play.
+    Keys that are also variables of ``result.nc`` are explained there. Draws become their interval,
+    or ``None`` if the variable is NaN. ``preloaded``: ramps of torque show no play.
     """
 
     route: str

@@ -98,11 +98,11 @@ TRANSMISSION = Group(
     table("""
         position_rad (point) | rad | the load's position
         forward (point) | 1 | whether the motor turns forwards (1)
-        lag_rad (point) | rad | motor minus load, less everything but the play
-        model_rad (point) | rad | the same by the model
+        lag_rad (point) | rad | motor minus load, corrected for all but the play
+        model_rad (point) | rad | this lag by the model
         curve_rad (point) | rad | transmission error
         probability_of_play | 1 | probability that δ is not zero
-        counted | 1 | how many times a misfit that repeats every cycle counts
+        counted | 1 | times that a misfit which repeats every cycle is counted
         reversals | 1 | reversals of the motor
         noise_sd_rad | rad | white noise
         drift_sd_rad | rad | standard deviation of the correlated noise

@@ -40,7 +40,7 @@ OTHER_MACHINE = "If this joint were the paper's test bench, at an assumed 2000 r
 DISAGREE = "routes_disagree"  # code of the reason that two routes give different answers
 
 SHRANK = (
-    "The gap shrank, and wear does not heal: are the files in order, or was the joint repaired "
+    "The gap shrank, which wear cannot cause: are the files in order, or was the joint repaired "
     "between them?"
 )
 
@@ -471,7 +471,7 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
         is_soon = asked is not None and asked["probability"] > 1.0 - SURE
         title = f"Plan the repair for {earliest} or earlier."
         return Advice("watch" if is_soon else "fine", title, forecast)
-    ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
+    ask = "To learn whether a repair is due, give the largest gap allowed (--limit)."
     change = None if compared is None else compared["change_rad"]
     if compared is not None and cause is not None:
         headline = in_words(summary) if rated is None else wear.headline(compared, rated)
@@ -542,7 +542,7 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
             )
         else:
             same = "same joint, controller and load"
-            yield f"Nothing but the gap changed between the snapshots: {same}."
+            yield f"Only the gap changed between the snapshots: {same}."
     interval = last["delta_rad"] or last["amplitude_rpm"]
     if interval is not None:
         yield (
@@ -571,7 +571,7 @@ def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterat
     again = "cycle" if "motion" in last else "rotation"
     yield f"Noise does not repeat from one {again} to the next, and it is steady."
     if not is_ringing_alone(summary):
-        yield "The prior makes every gap equally likely on a logarithmic scale."
+        yield "A priori, every gap is equally likely on a logarithmic scale, linear near zero."
 
 
 def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
@@ -584,7 +584,8 @@ def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
         up_to = f"both flanks carry the torque up to {words.with_bounds(lifts, 'N m')}"
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
-        f"These ramps show no play: the joint is stiffer around zero torque than beyond; {up_to}. "
+        "These ramps show no play: the joint is stiffer around zero torque than at larger torque; "
+        f"{up_to}. "
         f"Any gap δ that this hides is below {most} mrad."
     )
 

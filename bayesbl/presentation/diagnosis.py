@@ -82,10 +82,7 @@ def headline(summary: DiagnosisSummary) -> str:
                     "No effect could be named: bench and recordings disagree by "
                     f"{after}, and the noise is {noise}."
                 )
-            return (
-                "Nothing is missing: whatever repeats in the residuals does not predict held-out "
-                "data."
-            )
+            return "Nothing is missing: noise may cause all of the disagreement."
 
 
 def _size_in_short(effect: EffectSummary) -> str:
@@ -288,7 +285,7 @@ def assumptions(_: object) -> tuple[str, ...]:
     """Assumptions of a diagnosis."""
     return (
         "What is missing, if anything, is in the catalogue (bayesbl effects).",
-        "Noise does not repeat; a named effect predicts data that it was not fitted on.",
+        "Noise does not repeat.",
         "The other parameters are as the bench file says, within their tolerances.",
     )
 
@@ -326,7 +323,7 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     if learned_of(summary) and summary["delta_rad_after"] is None:
         return
     yield (
-        "For a gap curve, copy configs/sweep.toml, enter this bench and a new output folder "
+        "To make a gap curve, copy configs/sweep.toml, enter this bench and a new output folder "
         f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on the copy, and use its result in '
         "a comparison: `--curve …/result.nc`"
     )

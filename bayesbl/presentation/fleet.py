@@ -39,7 +39,8 @@ def headline(summary: Row) -> str:
     over = "None is" if alarms == 0 else "One is" if alarms == 1 else f"{alarms} are"
     return (
         f"{_count(summary['joints'], 'joint')}, {summary['with_rate']} with a rate of wear, from "
-        f"{measured} of {_count(sum(counted.values()), 'recording')}. {over} called over the limit."
+        f"{measured} of {_count(sum(counted.values()), 'recording')}. "
+        f"{over} flagged as over the limit."
     )
 
 
@@ -112,7 +113,7 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
             names + (f" and {more} others" if more > 0 else "") + ". At most 5 % of these are "
             "expected to be false alarms.",
             "warning",
-            "Called over their limit",
+            "Flagged as over their limit",
         )
 
 

@@ -107,8 +107,8 @@ def check_blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Blo
 
 MODEL = (
     "Rate and date are averages over laws of wear, weighted by how well each fits, over how "
-    "irregular wear may be, and over changes of wear that may still come. Wear never heals: draws "
-    "in which the gap shrinks are left out of both, so neither is evidence of wear."
+    "irregular wear may be, and over changes of wear that may still come. Wear cannot shrink a "
+    "gap: draws in which it shrinks are left out of both, so neither is evidence of wear."
 )
 
 LAWS = {"slowing": "slowing down", "steady": "steady", "speeding_up": "speeding up"}
@@ -244,10 +244,10 @@ def notes(wear: WearSummary) -> Iterator[str]:
         )
     if (prior := wear["forecast_from_prior"]) is not None:
         yield (
-            "Future wear is mostly assumed: with these recordings, the interval of the date is "
-            f"{prior['width_over_prior']:.2f} times as wide as without them (as a ratio of times), "
-            f"and in {words.probability(prior['probability_change_ahead'])} of forecasts the wear "
-            "changes before the limit is reached."
+            "Future wear is mostly assumed: with these recordings, the interval of the time to the "
+            f"limit is {prior['width_over_prior']:.2f} times as wide as without them (on a "
+            f"logarithmic scale), and in {words.probability(prior['probability_change_ahead'])} of "
+            "forecasts the wear changes before the limit is reached."
         )
     if wear["drift_widens"] is not None:
         yield (

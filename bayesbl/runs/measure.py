@@ -92,6 +92,6 @@ def _expected(sds: Sequence[ExpectedSd], config: SnapshotConfig) -> str | None:
 def _limit(config: SnapshotConfig, range_rad: tuple[float, float] | None) -> str:
     limit_rad, stated = limit_rad_of(config), config.joint.limit
     require_plausible_limit(limit_rad, range_rad)
-    given = "" if range_rad else "; not asked without δ"
+    given = "" if range_rad else "; not used without δ"
     meant = "" if stated is None or stated.name == "mrad of δ" else f" ({stated})"
     return f"{1e3 * (limit_rad or 0.0):.4g} mrad of δ{meant}{given}"

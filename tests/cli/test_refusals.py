@@ -274,7 +274,7 @@ def test_problems_that_recordings_share_are_said_once(foreign, capsys):
     assert cli.status(["init", "monday.csv", "friday.csv"]) == 2
     told = capsys.readouterr().err
     assert told.count("Error:") == 1
-    assert "The same of" in told
+    assert "The same applies to" in told
 
 
 def test_init_says_what_is_still_to_be_filled_in(foreign, capsys):

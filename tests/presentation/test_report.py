@@ -222,7 +222,7 @@ def test_a_change_is_named_by_where_its_interval_lies(low, high, told):
 
 def test_a_gap_that_shrank_is_said_first_and_nothing_is_decided():
     summary = comparison(-2.81e-4, -2.12e-4, 0.0)
-    assert flat(printed(summary)).startswith("The gap shrank, and wear does not heal")
+    assert flat(printed(summary)).startswith("The gap shrank, which wear cannot cause")
     assert answer.advice(summary).title.startswith("Do not decide")
 
 

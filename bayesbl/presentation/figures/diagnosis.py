@@ -53,8 +53,7 @@ def _pieces(tree: xr.DataTree) -> list[Piece]:
 
 
 @stored_figure(
-    "A recording that was held out: by how much the bench disagrees with it, before naming and "
-    "after.",
+    "A held-out recording: its disagreement with the bench before and after naming.",
     85,
     holding("signals/measured"),
     name="diagnosis",
@@ -245,7 +244,7 @@ def learned_course(tree: xr.DataTree) -> Figure:
 
 
 @stored_figure(
-    "Each parameter before and after the recordings.",
+    "Each parameter of the bench: the tolerance of the data sheet, and the interval identified.",
     100,
     lambda tree: bool(tree.attrs["kind"] == "identify"),
 )

@@ -213,8 +213,8 @@ _MOST_SHOWN = 400  # largest number of draws shown
 
 
 @stored_figure(
-    "The gap curve with the draws of the ringing's amplitude pushed through it, and the intervals "
-    "of both.",
+    "The gap curve, which converts each draw of the ringing's amplitude to a gap, and the "
+    "intervals of both.",
     30,
     holding("posterior/curve_amplitude_rpm", "curve/delta_rad"),
 )

@@ -117,4 +117,4 @@ def _draw_flank_paths(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index:
     panel.set_ylim(-1.3 * spread - 1e-9, 1.3 * spread + 1e-9)
     panel.set_xlabel("Angle of the load (rad)")
     if index % style.MOST_COLUMNS == 0:  # the axes are shared
-        panel.set_ylabel("Motor less load (mrad)")
+        panel.set_ylabel("Motor minus load (mrad)")

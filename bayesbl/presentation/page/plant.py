@@ -162,7 +162,7 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
     from bayesbl.fleet.plant_tables import JOINT_COLUMNS
 
     own = {key: v for key, v in row.items() if key not in JOINT_COLUMNS and v is not None}
-    titles = ("Gap (mrad)", "Outcome", "In the rate", "What to know", "File")
+    titles = ("Gap (mrad)", "Outcome", "Used for the rate", "Notes", "File")
     cells = (
         (
             one["date"],
@@ -192,15 +192,15 @@ def _headline(row: Row, summary: Row) -> str:
         interval_of(row, "rate_rad_per_year", summary),
     )
     if gap is None:
-        return f"{row['joint']}: no gap is given."
+        return f"{row['joint']}: the gap is not known."
     said = f"{row['joint']}: the gap was {words.in_mrad(gap)} on {row['last_date']}"
     if rate is None:
-        return f"{said}. No rate of wear is given."
+        return f"{said}. The rate of wear is not known."
     if row["probability_wear"] < words.SURE and not row["pooled"]:
         shown = words.probability(row["probability_wear"])
         return f"{said}, and is not shown to have grown (probability {shown})."
     unlike = unlike_type(row, summary)
-    how = f", {unlike}: this rests on its own recordings" if unlike else ""
+    how = f", {unlike} (by its own recordings alone)" if unlike else ""
     return f"{said}, and grows by {words.middle(rate, 1e3)} mrad a year{how}."
 
 
@@ -216,25 +216,28 @@ def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
                 f"{words.middle(interval, 1e3)} ({words.bounds(interval, 1e3)}) mrad a year",
             )
     if row["rate_rad_per_year_median"] is not None:
-        yield "Joints of its type count", "yes" if row["pooled"] else "no"
+        yield "Uses other joints of its type", "yes" if row["pooled"] else "no"
         if row["probability_unlike_type"] is not None:
-            yield "Wears in its own way", words.probability(row["probability_unlike_type"])
-        yield "Likeliest law", LAWS[row["law"]]
-        yield "Has grown", words.probability(row["probability_wear"])
+            yield (
+                "Probability that it wears unlike its type",
+                words.probability(row["probability_unlike_type"]),
+            )
+        yield "Most likely law", LAWS[row["law"]]
+        yield "Probability of growth", words.probability(row["probability_wear"])
     if row["limit_rad"] is not None:
         yield "Limit", f"{1e3 * row['limit_rad']:g} mrad"
     if row["probability_limit_now"] is not None:
-        yield "Above the limit", words.probability(row["probability_limit_now"])
+        yield "Probability above the limit", words.probability(row["probability_limit_now"])
     if row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None:
         reached = limit_reached(row)
         yield "Reaches the limit", f"{reached.text} ({reached.below})"
         yield "Not before", row["limit_date_not_before"] or "1000 years"
     if row["probability_limit_before"] is not None:
         chance = words.probability(row["probability_limit_before"])
-        yield f"Reaches it before {summary['decide_before']}", chance
+        yield f"Probability before {summary['decide_before']}", chance
     if row["expected_cost"] is not None:
         yield f"Expected cost before {summary['decide_before']}", _cost(row["expected_cost"])
-    yield "Recordings", f"{row['recordings']}, {row['used']} of them in the rate"
+    yield "Recordings", f"{row['recordings']}, {row['used']} of them used for the rate"
 
 
 def _cell(value: float | None, in_words: Callable[[float], str]) -> Cell:
