@@ -393,9 +393,15 @@ def _signature(found: Findings, hidden: Hidden) -> tuple[float, float]:
     nominal, own = found.naming.nominal, _own_fit(found, hidden)
     if own is None:
         return math.nan, math.nan
-    others = [e.explanation for e in found.naming.alone if e.explanation.names != own.names]
+    others = [e for e in _alone(found) if e.names != own.names]
     gain = max(0.0, nominal.fit.chi_square - own.fit.chi_square)
     return math.sqrt(gain), min((_distance(own, other) for other in others), default=math.nan)
+
+
+def _alone(found: Findings) -> list[Explanation]:
+    """Fitted sets of a single candidate, the most probable first."""
+    sets = [entry.explanation for entry, _ in found.naming.sets]
+    return [explanation for explanation in sets if len(explanation.candidates) == 1]
 
 
 def _distance(a: Explanation, b: Explanation) -> float:
@@ -406,9 +412,9 @@ def _distance(a: Explanation, b: Explanation) -> float:
 def _own_fit(found: Findings, hidden: Hidden) -> Explanation | None:
     """The truth's fit; made here if the diagnosis saw no order to begin with."""
     nominal, name = found.naming.nominal, hidden.names[0]
-    for own in found.naming.alone:
-        if own.explanation.names == (name,):
-            return own.explanation
+    for own in _alone(found):
+        if own.names == (name,):
+            return own
     order = TYPICAL[name].get("order", 1.0)
     known = candidates(nominal.fit.model.bench, nominal.fit.model.recordings, [name], [order])
     for candidate in known:

@@ -136,10 +136,7 @@ def identification_tree(
 ) -> xr.DataTree:
     """The whole result, without its origin.
 
-    Parameters
-    ----------
-    level, kind
-        Of the credible intervals.
+    ``level``, ``kind``: of the credible intervals.
     """
     table = _disagreement(result, problem)
     bench = identified_bench(result, problem)
@@ -287,10 +284,7 @@ def _parameter(
 def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSummary]:
     """Groups known by their ratios, each parameter in at most one; pairs known by their product.
 
-    Parameters
-    ----------
-    draws
-        Of all parameters, above zero, shape (n, k).
+    ``draws``: of all parameters, above zero, shape (n, k).
     """
     logarithms = np.log(draws)
     alone = logarithms.std(axis=0)

@@ -77,15 +77,9 @@ DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
 class Problem:
     """What is identified, and from what.
 
-    Attributes
-    ----------
-    used, held_out
-        Recordings to fit, and to predict.
-    parameters
-        Free bench parameters, each with a tolerance.
-    effects
-        Effects that are free from the start, by name; ``"catalogue"``: those that the recordings
-        name.
+    ``used``, ``held_out``: recordings to fit, and to predict; ``parameters``: free bench
+    parameters, each with a tolerance; ``effects``: effects that are free from the start, by name;
+    ``"catalogue"``: those that the recordings name.
     """
 
     bench: Bench
@@ -110,16 +104,9 @@ class Problem:
 class BeyondDataSheet:
     """A value of the data sheet that the recordings contradict.
 
-    Attributes
-    ----------
-    believed, tolerance
-        By the data sheet.
-    found
-        By the recordings.
-    deviations
-        Distance of ``found`` from the nearer end of the tolerance, in standard deviations.
-    could_be
-        Other parameters that would explain the recordings as well, each alone.
+    ``believed``, ``tolerance``: by the data sheet; ``found``: by the recordings; ``deviations``:
+    distance of ``found`` from the nearer end of the tolerance, in standard deviations;
+    ``could_be``: other parameters that would explain the recordings as well, each alone.
     """
 
     name: str
@@ -213,7 +200,10 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Lin
     """
     # A fit with an implausible data sheet would take minutes or fail.
     nominal = _nominal(problem, progress) if is_plausible(problem) else None
-    far_off = nominal is None or (may_be_wrong_by_far(problem) and _is_far_off(nominal))
+    # A fit that leaves more than noise does: it decides only the order of two searches.
+    far_off = nominal is None or (
+        may_be_wrong_by_far(problem) and nominal.fit.chi_square > 2.0 * nominal.fit.residual.size
+    )
     gross_error = far_beyond_data_sheet(problem, of_stage(progress, AFAR)) if far_off else None
     if gross_error is not None:
         return replace(gross_error, nominal=nominal or gross_error.final), None
@@ -244,11 +234,6 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Lin
         beyond = _beyond(final, wrong.candidate, wrong.members[1:], problem)
     linear_fit = naming.linear_fit if final.fit is naming.final.fit else None
     return Match(nominal, final, beyond, missing), linear_fit
-
-
-def _is_far_off(nominal: Explanation) -> bool:
-    """Whether the fit leaves more than noise does. It decides only the order of two searches."""
-    return nominal.fit.chi_square > 2.0 * nominal.fit.residual.size
 
 
 def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) -> list[Candidate]:

@@ -45,13 +45,10 @@ from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreeme
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Term, search
+from bayesbl.model_search.refit import slopes
 from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
-
-SEEN_STEP = 4.0
-"""Change of the signals over a derivative's step, in standard deviations of noise: a smaller one
-drowns in the simulator's error, a larger one suffers from curvature."""
 
 FIRST_STEP, LARGEST_STEP = 0.3, 2.0
 """Steps of derivatives, in usual sizes, changes or drift budgets."""
@@ -219,7 +216,9 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
             existing = present[effect.name]
             values = existing.complete()
             for item in effect.amplitudes:
-                size = max(abs(values[item.name]), _stated_sd(existing, item.name))
+                stated_value = existing.parameters.get(item.name)
+                sd = 0.0 if stated_value is None else stated_value.sd or 0.0
+                size = max(abs(values[item.name]), sd)
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 by_change = changed if item is main else 0.0
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift, by_change)
@@ -245,11 +244,6 @@ def _usual(bench: Bench, name: str) -> float:
     effect = effect_named(name)
     main = effect.main_amplitude.name
     return next(abs(p.typical) for p in parameters_on(bench, effect) if p.name == main)
-
-
-def _stated_sd(effect: BenchEffect, name: str) -> float:
-    parameter = effect.parameters.get(name)
-    return 0.0 if parameter is None else parameter.sd or 0.0
 
 
 def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
@@ -308,7 +302,7 @@ class Label:
     @property
     def is_lag(self) -> bool:
         """Whether it is a lag of the speed loop in all snapshots."""
-        if self.cause:
+        if self.cause or self.recording is not None:
             return False
         name, _, parameter = self.directions[0].slot.partition("__")
         return bool(parameter) and effect_named(name).enters == "loop"
@@ -425,15 +419,12 @@ class LinearisedFit:
             indices, least_gain = shared, FAR**2
         if any(self.labels[k].is_lag for k in indices):
             indices |= {k for k in shared if self.labels[k].is_lag}
-        linearised = self.posterior.linearised
-        inverse = np.linalg.inv(
-            linearised.jacobian.T @ linearised.jacobian + linearised.prior_precision
-        )
+        linearised, covariance = self.posterior.linearised, self.posterior.covariance
         gains = []
         for k in indices:
             columns = linearised.terms[k].columns
             cross, pull = linearised.jacobian.T @ columns, columns.T @ linearised.residual
-            precision = np.eye(pull.size) + columns.T @ columns - cross.T @ inverse @ cross
+            precision = np.eye(pull.size) + columns.T @ columns - cross.T @ covariance @ cross
             sizes = np.asarray(np.linalg.solve(precision, pull), dtype=np.float64)
             if self.labels[k].can_be_simulated(sizes) and float(pull @ sizes) > least_gain:
                 gains.append((float(pull @ sizes), k, sizes))
@@ -507,9 +498,13 @@ class LinearisedFit:
 
     def by_label(self) -> list[FloatArray]:
         """Draws of each label's sizes, shape (n, directions) each."""
-        return np.split(
-            self.sizes, np.cumsum([len(label.directions) for label in self.labels])[:-1], 1
-        )
+        return _by_label(self.labels, self.sizes)
+
+
+def _by_label(labels: Sequence[Label], columns: FloatArray) -> list[FloatArray]:
+    """Columns of each label, (n, directions) each."""
+    ends = np.cumsum([0, *(len(label.directions) for label in labels)])
+    return [columns[:, a:b] for a, b in itertools.pairwise(ends)]
 
 
 def linearised_fit(fit: SimulatedFit, nuisances: Sequence[Direction]) -> LinearisedFit:
@@ -530,17 +525,13 @@ def linearised_fit(fit: SimulatedFit, nuisances: Sequence[Direction]) -> Lineari
         acting.append(active)
         columns.append(active_columns)
     stacked = np.concatenate(rows)
-    ends = np.cumsum([len(label.directions) for label in labels])[:-1]
-    by_label = np.split(stacked[:, d:-1], ends, axis=1)
+    by_label = zip(labels, _by_label(labels, stacked[:, d:-1]), strict=True)
     linearised = Linearised(
         stacked[:, -1],
         stacked[:, :d],
         model.prior_precision(),
         prior_pull(model, fit.point),
-        [
-            label.term(term_columns)
-            for label, term_columns in zip(labels, by_label, strict=bool(labels))
-        ],
+        [label.term(term_columns) for label, term_columns in by_label],
         np.zeros((len(stacked), 0)),
     )
     changed = {label.hypothesis: CHANGED for label in labels if label.cause}
@@ -570,16 +561,13 @@ def always_terms(
 ) -> tuple[tuple[Label, ...], list[FloatArray]]:
     """Labels and columns, (N, k) each, of laws and drift at a fit; without causes of a change."""
     labels = tuple(label for label in _labels(fit, nuisances) if not label.cause)
-    ends = np.cumsum([0, *(len(label.directions) for label in labels)])
-    parts = fit.model.by_recording(fit.residual)
-    rows = []
-    for index, part in enumerate(parts):
-        active, active_columns = _columns(fit, index, labels)
-        row = np.zeros((part.size, int(ends[-1])))
-        row[:, active] = active_columns
-        rows.append(row)
-    stacked = np.concatenate(rows)
-    return labels, [stacked[:, a:b] for a, b in itertools.pairwise(ends)]
+    stacked = np.zeros((fit.residual.size, sum(len(label.directions) for label in labels)))
+    begin = 0
+    for index in range(len(fit.model.recordings)):
+        active, columns = _columns(fit, index, labels)
+        stacked[begin : begin + len(columns), active] = columns
+        begin += len(columns)
+    return labels, _by_label(labels, stacked)
 
 
 def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
@@ -669,44 +657,27 @@ def _slopes(
     nuisances: Sequence[Direction],
 ) -> FloatArray:
     """Derivatives of a recording's whitened signals by the last unknowns of its model, (k, N)."""
-    positions = point.size - len(nuisances) + np.arange(len(nuisances))
-    steps = np.array([max(FIRST_STEP * d.size, d.least) for d in nuisances])
-    reference = model.whitened_of(point[None], index)[0]
     values = model.vectors(point[None], model.recordings[index])[0]
     current = values[[Slot[d.slot] for d in nuisances]]
     # Step towards the farther end of the simulator's range if there is no room above.
     low, high = np.array([simulated_range(d.slot) for d in nuisances]).T
-    farthest = LARGEST_STEP * np.array([d.size for d in nuisances])
-    signs = np.where((high - current < farthest) & (current - low > high - current), -1.0, 1.0)
-    farthest = np.minimum(farthest, np.where(signs > 0.0, high - current, current - low))
-    reduction, share = np.zeros((len(nuisances), point.size)), np.ones(len(nuisances))
+    sizes, least = np.array([(d.size, d.least) for d in nuisances]).T
+    longest = LARGEST_STEP * sizes
+    signs = np.where((high - current < longest) & (current - low > high - current), -1.0, 1.0)
+    longest = np.minimum(longest, np.where(signs > 0.0, high - current, current - low))
+    moves, share = np.zeros((len(nuisances), point.size)), np.ones(len(nuisances))
+    moves[:, point.size - len(nuisances) :] = np.eye(len(nuisances))
     for k, direction in enumerate(nuisances):
         if direction.instead_of:
             reduced = model.index(direction.instead_of)
-            reduction[k, reduced] = -direction.per_unit
+            moves[k, reduced] = -direction.per_unit
             # A share of the friction in this recording, which may have changed.
             share[k] = max(values[Slot[direction.instead_of]], 0.0) / point[reduced]
             room = min(share[k], 1.0) * point[reduced] - model.low[reduced]
-            farthest[k] = min(farthest[k], room / direction.per_unit)
-    steps = np.minimum(steps, farthest)
-    slopes, pending = np.zeros((len(nuisances), reference.size)), np.flatnonzero(steps > 0.0)
-    for _ in range(2):
-        points = np.repeat(point[None], pending.size, axis=0)
-        offsets = signs[pending] * steps[pending]
-        points[np.arange(pending.size), positions[pending]] = offsets
-        points += offsets[:, None] * reduction[pending]
-        # Rounding must not take the reduced unknown below zero.
-        points = np.clip(points, model.low, model.high)
-        changes = np.nan_to_num(reference - model.whitened_of(points, index), nan=0.0)
-        slopes[pending] = changes / offsets[:, None]
-        norms = np.linalg.norm(changes, axis=1)
-        adjusted = steps[pending] * SEEN_STEP / np.maximum(norms, 1e-12)
-        adjusted = np.clip(adjusted, [nuisances[int(k)].least for k in pending], farthest[pending])
-        needs_retry = (adjusted > 2.0 * steps[pending]) | (adjusted < 0.2 * steps[pending])
-        steps[pending], pending = adjusted, pending[needs_retry]
-        if not pending.size:
-            break
-    return slopes * share[:, None]
+            longest[k] = min(longest[k], room / direction.per_unit)
+    steps = np.maximum(FIRST_STEP * sizes, least), np.minimum(least, longest), longest
+    derivatives = slopes(model, index, point, signs[:, None] * moves, steps)
+    return np.nan_to_num(derivatives, nan=0.0) * (signs * share)[:, None]
 
 
 def with_neutral(bench: Bench, nuisances: Sequence[Direction]) -> Bench:
@@ -744,10 +715,12 @@ def with_far_terms_freed(
         loops += [(stripped[0], trial) for trial in stripped[1:]]
         fit = fit_simulated(freed.model, freed.point, freed.steps, one_sided=True)
         linear_fit = linearised_fit(fit, nuisances)
-    if linear_fit is nominal or not linear_fit.explains:
-        return nominal
-    linear_fit = linearised_fit(fit_simulated(fit.model, fit.point, fit.steps), nuisances)
-    return replace(linear_fit, loops=tuple(loops))
+    if linear_fit is not nominal and linear_fit.explains:
+        # One-sided differences rank fits; the one that answers is made and checked with central.
+        linear_fit = linearised_fit(fit_simulated(fit.model, fit.point, fit.steps), nuisances)
+        if linear_fit.explains:
+            return replace(linear_fit, loops=tuple(loops))
+    return nominal
 
 
 def other_loops(linear_fit: LinearisedFit) -> list[SimulatedFit]:

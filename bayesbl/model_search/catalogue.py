@@ -200,15 +200,9 @@ def candidates(
 ) -> list[Candidate]:
     """Every hypothesis that these recordings can test.
 
-    Parameters
-    ----------
-    effects
-        Names from the catalogue, or all of it.
-    peaks
-        Whole motor orders that stand out of the fit's residual: starts of the periodic effects.
-        Without peaks there are none.
-    declared
-        Bench parameters that are unknown anyway, and so no candidates.
+    ``effects``: names from the catalogue, or all of it. ``peaks``: whole motor orders that stand
+    out of the fit's residual: starts of the periodic effects. Without peaks there are none.
+    ``declared``: bench parameters that are unknown anyway, and so no candidates.
     """
     present = {effect.name for effect in bench.effects}
     hypotheses = []
@@ -247,7 +241,7 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
         unknowns,
         neutral,
         effect=_neutral_effect(effect),
-        usual=_usual(sought),
+        usual=np.array([abs(p.typical) if p.is_amplitude else math.nan for p in sought]),
     )
     if effect.resonance is not None:
         part_starts = tuple(_resonances(bench, effect, effect.resonance))
@@ -311,11 +305,6 @@ def _ranges_around(
             yield replace(unknown, low=max(unknown.low, float(low)))
         else:
             yield unknown
-
-
-def _usual(parameters: Sequence[EffectParameter]) -> FloatArray:
-    """Usual sizes of an effect's amplitudes on a bench."""
-    return np.array([abs(p.typical) if p.is_amplitude else math.nan for p in parameters])
 
 
 def _periodic(

@@ -85,14 +85,9 @@ MOST_ROUNDS = 4
 class FittedSet:
     """A set of hypotheses at its fit.
 
-    Attributes
-    ----------
-    log_evidence
-        ln of prior times evidence, without terms that are not in the set.
-    posterior
-        Posterior of the terms always included, and of the misfit.
-    excess_by_band
-        χ² beyond noise of the repeating part, by band, the mean first, (b,).
+    ``log_evidence``: ln of prior times evidence, without terms that are not in the set;
+    ``posterior``: posterior of the terms always included, and of the misfit; ``excess_by_band``: χ²
+    beyond noise of the repeating part, by band, the mean first, (b,).
     """
 
     explanation: Explanation
@@ -189,11 +184,6 @@ class Naming:
     def others(self) -> list[tuple[FittedSet, float]]:
         """All sets but ``final``."""
         return [(entry, p) for entry, p in self.sets if entry.explanation.keys != self.final.keys]
-
-    @property
-    def alone(self) -> list[FittedSet]:
-        """Sets of a single candidate, the most probable first."""
-        return [entry for entry, _ in self.sets if len(entry.explanation.candidates) == 1]
 
 
 def averaged(
@@ -419,10 +409,8 @@ class SetSearch:
     def _find_orders(self, fitted: FittedSet) -> None:
         """Add candidates at motor orders that the set's hypotheses had hidden."""
         if fitted.explanation.candidates and fitted.explanation.keys not in self._explored:
-            new_candidates = {c.key: c for c in self._catalogue(motor_orders(fitted.fit))}
-            self._candidates |= {
-                k: c for k, c in new_candidates.items() if k not in self._candidates
-            }
+            for candidate in self._catalogue(motor_orders(fitted.fit)):
+                self._candidates.setdefault(candidate.key, candidate)
 
     def _reduced(self, fitted: FittedSet) -> Iterator[FittedSet]:
         for index in range(len(fitted.explanation.candidates)):
@@ -679,10 +667,8 @@ def _banded(
         stacked = []
         for piece, loop_columns in itertools.zip_longest(band, noise[band_index] if noise else ()):
             total -= piece.T @ piece
-            form = np.zeros((len(piece), piece_count * form_count))
-            form[:, piece_index * form_count : (piece_index + 1) * form_count] = (
-                FORM_SHARE * piece[:, form_start : form_start + form_count]
-            )
+            own_forms = FORM_SHARE * piece[:, form_start : form_start + form_count]
+            form = np.kron(np.eye(piece_count)[piece_index], own_forms)
             piece_index += 1
             by_loop = np.zeros((len(piece), 0)) if loop_columns is None else loop_columns
             stacked.append(np.hstack([piece[:, :form_start], form, by_loop, piece[:, -1:]]))
@@ -738,39 +724,30 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
     the covariance of its outer product. Noise has the same covariance in the mean rotation as in
     each.
     """
-    model = fit.model
-    simulated: list[tuple[int, FloatArray]] = []
-    for index, observation in enumerate(model.recordings):
-        loop = loop_noise(fit, index)
-        if loop is not None:
-            rows = (loop.fed_back - loop.linear).reshape(
-                len(loop.fed_back), len(observation.signals), -1
-            )
-            scale = math.sqrt(float(loop.shares.mean()) / len(rows))
-            simulated.append((index, scale * rows))
-    if not simulated:
+    recordings = fit.model.recordings
+    loops = [loop_noise(fit, index) for index in range(len(recordings))]
+    count = sum(loop is not None for loop in loops)
+    if not count:
         return []
     columns: list[list[FloatArray]] = [[] for _ in BANDS]
-    width = LOOP_COLUMNS * len(simulated)
-    by_place = dict(simulated)
-    for index, observation in enumerate(model.recordings):
-        excess = by_place.get(index)
-        bands: list[FloatArray] = []
-        for channel in range(len(observation.signals)):
-            length = observation.lag if excess is None else excess.shape[2]
-            rotations = np.zeros((length, 1)) if excess is None else excess[:, channel].T
-            bands += list(_spectral_bands(rotations, observation))
+    first_column = 0
+    for observation, loop in zip(recordings, loops, strict=True):
+        channels = len(observation.signals)
+        excess = np.zeros((1, channels, observation.lag))
+        if loop is not None:
+            excess = (loop.fed_back - loop.linear).reshape(len(loop.fed_back), channels, -1)
+            excess = excess * math.sqrt(float(loop.shares.mean()) / len(excess))
+        bands = [b for k in range(channels) for b in _spectral_bands(excess[:, k].T, observation)]
         stacked = np.concatenate(bands)
-        out = np.zeros((len(stacked), width))
-        if excess is not None:
-            first_column = LOOP_COLUMNS * [p for p, _ in simulated].index(index)
+        out = np.zeros((len(stacked), LOOP_COLUMNS * count))
+        if loop is not None:
             basis, sizes, _ = np.linalg.svd(stacked, full_matrices=False)
             kept = min(LOOP_COLUMNS, sizes.size)
             out[:, first_column : first_column + kept] = basis[:, :kept] * sizes[:kept]
-        begin = 0
-        for k, band in enumerate(bands):
-            columns[k % len(BANDS)].append(out[begin : begin + len(band)])
-            begin += len(band)
+            first_column += LOOP_COLUMNS
+        ends = np.cumsum([len(band) for band in bands])[:-1]
+        for k, part in enumerate(np.split(out, ends)):
+            columns[k % len(BANDS)].append(part)
     return columns
 
 

@@ -108,12 +108,8 @@ class AddedPart:
 class HiddenChange(_Quantity):
     """A change of the joint in its last recording that the check would miss.
 
-    Attributes
-    ----------
-    expected, size
-        Value by the bench, and the largest change that passes.
-    error_rad
-        Absolute shift of the change of δ from the first recording to the last.
+    ``expected``, ``size``: value by the bench, and the largest change that passes; ``error_rad``:
+    absolute shift of the change of δ from the first recording to the last.
     """
 
     expected: float
@@ -248,14 +244,9 @@ def find_changes(
 ) -> tuple[Naming, JointFindings]:
     """Find what must differ from the bench, in all recordings or in one, to explain them.
 
-    Parameters
-    ----------
-    nominal
-        All recordings of a joint fitted together with the bench as believed.
-    nuisances
-        Directions marginalised at every fit, which are therefore no blind spots.
-    progress
-        Called with (fits made, fits expected).
+    ``nominal``: all recordings of a joint fitted together with the bench as believed;
+    ``nuisances``: directions marginalised at every fit, which are therefore no blind spots;
+    ``progress``: called with (fits made, fits expected).
     """
     naming = name_missing(
         nominal,

@@ -49,6 +49,12 @@ from bayesbl.sampling.importance import normal_between
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 GIBBS_SWEEPS = 25
+ROUNDING = 2e-15
+"""Rounding error of a number that is computed from numbers of size one."""
+
+UNSEEN = 1e-12
+"""Eigenvalue of a Gram matrix of unit columns, below which it is rounding error."""
+
 DEPENDENT = 1e-8
 """Smallest component of a fitted column orthogonal to the others, relative to its length."""
 
@@ -130,16 +136,9 @@ class MisfitBand:
 
     Equivalent to a group with one column for each row, at the cost of one factor for each.
 
-    Attributes
-    ----------
-    kind
-        What the rows are: ``"load orders up to 8"``, …
-    rows
-        Rows of the residual, the columns and the Jacobian.
-    freedom
-        Number of independent values, if the rows are an R factor of more.
-    usual
-        As :attr:`DiscrepancyGroup.usual`.
+    ``kind``: what the rows are: ``"load orders up to 8"``, …; ``rows``: rows of the residual, the
+    columns and the Jacobian; ``freedom``: number of independent values, if the rows are an R factor
+    of more; ``usual``: as :attr:`DiscrepancyGroup.usual`.
     """
 
     kind: str
@@ -201,15 +200,9 @@ def log_odds(probability: float) -> float:
 class Model:
     """A set of terms at one scale of the discrepancy.
 
-    Attributes
-    ----------
-    terms
-        Indices into :attr:`Linearised.terms`, without those always included.
-    scales
-        Standard deviation of each discrepancy group, then of each misfit band, in units of a
-        sample's noise; 0: absent.
-    log_posterior
-        ln of the probability.
+    ``terms``: indices into :attr:`Linearised.terms`, without those always included; ``scales``:
+    standard deviation of each discrepancy group, then of each misfit band, in units of a sample's
+    noise; 0: absent; ``log_posterior``: ln of the probability.
     """
 
     terms: tuple[int, ...]
@@ -289,23 +282,33 @@ def orthant(
     return np.asarray(log_site.sum(1) + normal), mu, np.asarray(sigma, dtype=float)
 
 
-def _factor(gram: FloatArray) -> tuple[FloatArray, float]:
-    """A⁻¹ and ln |A| of a positive semidefinite Gram matrix in any units.
+def _inverse_root(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:
+    """R with R Rᵀ = A⁻¹, (n, rank), and ln |A| of A = G + P: Gram matrix and prior precision.
 
-    Directions without data give 0.
+    In a direction whose data are below rounding, the prior alone counts. A direction with neither
+    data nor prior is left out of both.
     """
-    root, log_det = _inverse_root(gram)
-    return np.asarray(root @ root.T), log_det
-
-
-def _inverse_root(gram: FloatArray) -> tuple[FloatArray, float]:
-    """R with R Rᵀ = A⁻¹, (n, rank), and ln |A|."""
-    scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    kept = values > 1e-12 * max(1.0, float(values[-1]) if values.size else 1.0)
-    root = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
-    log_det = float(np.log(values[kept]).sum()) + 2.0 * float(np.log(scale).sum())
-    return np.asarray(root), log_det
+    total = gram + prior
+    scale = np.sqrt(np.where(np.diag(total) > 0.0, np.diag(total), 1.0))
+    unit = np.outer(scale, scale)
+    parts = [(np.eye(len(scale)), *np.linalg.eigh(total / unit))]
+    if np.any(parts[0][1] <= UNSEEN):
+        values, vectors = np.linalg.eigh(gram / unit)
+        shown, precision = values > UNSEEN, vectors.T @ (prior / unit) @ vectors
+        with_data = precision[np.ix_(shown, shown)] + np.diag(values[shown])
+        cross = np.linalg.solve(with_data, precision[np.ix_(shown, ~shown)])
+        without = precision[np.ix_(~shown, ~shown)] - precision[np.ix_(~shown, shown)] @ cross
+        basis = vectors[:, shown]
+        parts = [
+            (basis, *np.linalg.eigh(with_data)),
+            (vectors[:, ~shown] - basis @ cross, *np.linalg.eigh(without)),
+        ]
+    roots, log_det = [], 2.0 * float(np.log(scale).sum())
+    for basis, values, axes in parts:
+        kept = values > ROUNDING
+        roots.append(basis @ axes[:, kept] / np.sqrt(values[kept]))
+        log_det += float(np.log(values[kept]).sum())
+    return np.asarray(np.hstack(roots) / scale[:, None]), log_det
 
 
 def _cholesky(matrix: np.ndarray) -> FloatArray:
@@ -336,12 +339,12 @@ def _without_rounding(gram: FloatArray) -> FloatArray:
 class _Base:
     """Gram matrices at one scale of the misfit bands.
 
-    They are those of the nuisance parameters (u and the terms always included), of these with the
-    other columns, and of the other columns after marginalisation.
+    They are those of the nuisance parameters (u and the terms always included), without their
+    prior, of these with the other columns, and of the other columns after marginalisation.
     """
 
     nuisance_gram: FloatArray
-    inverse: FloatArray
+    root: FloatArray
     cross: FloatArray
     nuisance_pull: FloatArray
     gram: FloatArray
@@ -353,19 +356,21 @@ class _Base:
     @classmethod
     def of(cls, total: FloatArray, prior: FloatArray, pull: FloatArray, log_volume: float) -> _Base:
         q = len(prior)
-        nuisance_gram, cross = total[:q, :q] + prior, total[:q, q:-1]
-        inverse, log_det = _factor(nuisance_gram)
+        nuisance_gram, cross = total[:q, :q], total[:q, q:-1]
+        root, log_det = _inverse_root(nuisance_gram, prior)
         nuisance_pull = total[:q, -1] + pull
         squares = float(total[-1, -1])
+        # Products with the root keep a direction without data apart from rounding.
+        across, along = root.T @ cross, root.T @ nuisance_pull
         return cls(
             nuisance_gram,
-            inverse,
+            root,
             cross,
             nuisance_pull,
-            _without_rounding(total[q:-1, q:-1] - cross.T @ inverse @ cross),
-            total[q:-1, -1] - cross.T @ (inverse @ nuisance_pull),
+            _without_rounding(total[q:-1, q:-1] - across.T @ across),
+            total[q:-1, -1] - across.T @ along,
             squares,
-            squares - float(nuisance_pull @ inverse @ nuisance_pull),
+            squares - float(along @ along),
             log_volume - 0.5 * log_det,
         )
 
@@ -405,11 +410,11 @@ class _Grams:
         self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
         base = self.base((0,) * len(view.scaled))
         gram_u = base.nuisance_gram[: self.d, : self.d]
-        self.root_u, _ = _inverse_root(gram_u)
+        self.root_u, _ = _inverse_root(gram_u, view.prior_precision)
         self.inverse_u = self.root_u @ self.root_u.T
         self.pull_u = base.nuisance_pull[: self.d]
-        chi_square = base.squares - float(self.pull_u @ self.inverse_u @ self.pull_u)
-        effective = float(np.sum(self.inverse_u * (gram_u - view.prior_precision)))
+        chi_square = base.squares - float(np.sum((self.root_u.T @ self.pull_u) ** 2))
+        effective = float(np.sum(self.inverse_u * gram_u))
         self.excess_chi_square = chi_square - (samples - effective)
         starts = dict(zip(remaining, np.cumsum([0, *self.widths[remaining]]), strict=False))
         self.columns_of = {i: starts[i] + np.arange(self.widths[i]) for i in remaining}
@@ -473,15 +478,15 @@ class _Grams:
         return np.concatenate(present), np.concatenate(precision)
 
     def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float]:
-        """Gram matrix and right side of the terms with h marginalised, and the ln evidence."""
+        """Precision of the terms' sizes and right side with h marginalised, and the ln evidence."""
         if level not in self._cache:
             k, base = self.k, self.base(level)
             gram, right = base.gram[:k, :k], base.right[:k]
             log_evidence = base.log_volume - 0.5 * base.chi_square
-            present, precision = self.precision_of_h(level)
+            present, precision_h = self.precision_of_h(level)
             if present.size:
                 indices = present + k
-                root = np.sqrt(precision)
+                root = np.sqrt(precision_h)
                 # (R⁻¹ G R⁻¹ + I), R² the precision, is well conditioned at every scale.
                 scaled_gram = base.gram[np.ix_(indices, indices)] / np.outer(root, root) + np.eye(
                     present.size
@@ -505,7 +510,9 @@ class _Grams:
                 weight = absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
                 log_evidence += math.log(weight)
                 log_evidence -= 0.5 * float(self.lattice[index] / group.usual) ** 2
-            self._cache[level] = gram, right, log_evidence
+            # The prior of each size is 1. The rest keeps collinear columns apart beyond rounding.
+            precision = gram + np.diag(1.0 + ROUNDING * np.diag(gram))
+            self._cache[level] = precision, right, log_evidence
         return self._cache[level]
 
     def columns(self, terms: tuple[int, ...]) -> np.ndarray:
@@ -521,7 +528,7 @@ class _Grams:
         self, sets: Sequence[tuple[int, ...]], level: tuple[int, ...], *, sweeps: int = 12
     ) -> FloatArray:
         """ln of prior times evidence of sets at one level, (B,)."""
-        gram, right, base = self.at(level)
+        precisions, right, base = self.at(level)
         result = np.array([base + sum(self.log_prior[i] for i in terms) for terms in sets])
         by_size: dict[int, list[int]] = {}
         columns_by_set = [self.columns(terms) for terms in sets]
@@ -531,7 +538,7 @@ class _Grams:
             if size == 0:
                 continue
             columns = np.stack([columns_by_set[k] for k in indices])
-            precision = gram[columns[:, :, None], columns[:, None, :]] + np.eye(size)
+            precision = precisions[columns[:, :, None], columns[:, None, :]]
             b = right[columns]
             mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
             values = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
@@ -547,12 +554,11 @@ class _Grams:
 
         A first estimate, which ignores the sign constraints of the set.
         """
-        gram, right, _ = self.at(level)
+        precisions, right, _ = self.at(level)
         columns = self.columns(terms)
         if columns.size:
-            block = gram[np.ix_(columns, columns)] + np.eye(columns.size)
-            regression = np.linalg.solve(block, gram[columns])
-            gram = gram - gram[:, columns] @ regression
+            regression = np.linalg.solve(precisions[np.ix_(columns, columns)], precisions[columns])
+            precisions = precisions - precisions[:, columns] @ regression
             right = right - regression.T @ right[columns]
         selected = np.array(self.selected, dtype=int)
         added = np.full(selected.size, -np.inf)
@@ -566,7 +572,7 @@ class _Grams:
             if not rows.size:
                 continue
             added_columns = np.stack([self.columns_of[i] for i in selected[rows]])
-            precision = gram[added_columns[:, :, None], added_columns[:, None, :]] + np.eye(width)
+            precision = precisions[added_columns[:, :, None], added_columns[:, None, :]]
             b = right[added_columns]
             mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
             value = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
@@ -583,9 +589,9 @@ class _Grams:
     ) -> tuple[np.ndarray, FloatArray, FloatArray]:
         """Columns of a set (those always included last); mean and precision without sign
         constraints."""
-        gram, right, _ = self.at(level)
+        precisions, right, _ = self.at(level)
         columns = self.columns(terms)
-        precision = gram[np.ix_(columns, columns)] + np.eye(columns.size)
+        precision = precisions[np.ix_(columns, columns)]
         return columns, np.linalg.solve(precision, right[columns]), precision
 
 
@@ -697,15 +703,9 @@ def _neighbours(grams: _Grams, level: tuple[int, ...]) -> Iterable[tuple[int, ..
 class ModelPosterior:
     """Result of :func:`search`.
 
-    Attributes
-    ----------
-    linearised
-        The view that was searched.
-    models
-        Sets at their scales, the most probable first; probabilities sum to one.
-    log_evidence
-        ln of the sum of all priors times evidences, up to a constant that depends on the residual's
-        size and the prior of u.
+    ``linearised``: the view that was searched; ``models``: sets at their scales, the most probable
+    first; probabilities sum to one; ``log_evidence``: ln of the sum of all priors times evidences,
+    up to a constant that depends on the residual's size and the prior of u.
     """
 
     linearised: Linearised
@@ -778,8 +778,12 @@ class ModelPosterior:
         base = grams.base(level)
         columns, _, precision = grams.normal(terms, level)
         right = grams.at(level)[1][columns]
-        sizes = _constrained_mode(right, precision, grams.is_positive[columns])
-        centre = base.inverse @ (base.nuisance_pull - base.cross[:, columns] @ sizes)
+        lower = _cholesky(precision)
+        whitened = np.asarray(np.linalg.solve(lower, right), dtype=float)
+        least = np.where(grams.is_positive[columns], 0.0, -np.inf)
+        sizes = bounded_least_squares(lower.T, whitened, least)
+        pull = base.nuisance_pull - base.cross[:, columns] @ sizes
+        centre = base.root @ (base.root.T @ pull)
         set_terms = [self.linearised.terms[i] for i in terms]
         parts = np.split(sizes, np.cumsum([term.columns.shape[1] for term in set_terms]))
         return [p * t.unit for p, t in zip(parts, set_terms, strict=False)], centre[: grams.d]
@@ -824,6 +828,11 @@ class ModelPosterior:
         return {m: math.exp(m.log_posterior) / cumulative[count - 1] for m in self.models[:count]}
 
     @property
+    def covariance(self) -> FloatArray:
+        """Covariance of u alone, (d, d)."""
+        return self._grams.inverse_u
+
+    @property
     def excess_chi_square(self) -> float:
         """χ² minus its degrees of freedom, at the fit of u alone."""
         return self._grams.excess_chi_square
@@ -850,7 +859,7 @@ class ModelPosterior:
         counts = np.diff(ends, prepend=0)
         width = grams.columns_remaining.size + grams.columns_free.size
         sizes, h, shift = (np.zeros((n, size)) for size in (width, grams.m, grams.d))
-        start, unshifted = 0, grams.inverse_u @ grams.pull_u
+        start, unshifted = 0, grams.root_u @ (grams.root_u.T @ grams.pull_u)
         for model, count in zip(self.models, counts, strict=True):
             if not count:
                 continue
@@ -875,17 +884,19 @@ class ModelPosterior:
                 gram = base.gram[np.ix_(indices, indices)] + np.diag(prior)
                 right = base.right[indices] - a @ base.gram[np.ix_(columns, indices)]
                 lower = _cholesky(gram)
-                centre = np.linalg.solve(gram, right.T).T
                 noise = model_generator.standard_normal((count, present.size))
-                h[rows, present] = centre + np.linalg.solve(lower.T, noise.T).T
+                whitened = np.linalg.solve(lower, right.T) + noise.T
+                h[rows, present] = np.linalg.solve(lower.T, whitened).T
             if grams.free:
                 values = np.concatenate([a, h[rows, present]], axis=1)
-                centre = (base.nuisance_pull - values @ base.cross[:, both].T) @ base.inverse
-                block = base.inverse[grams.d :, grams.d :]
-                root = _cholesky(block)
-                noise = model_generator.standard_normal((count, block.shape[0]))
-                sizes[rows, grams.columns_free] = centre[:, grams.d :] + noise @ root.T
-            inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
+                pull = base.nuisance_pull - values @ base.cross[:, both].T
+                root = base.root[grams.d :]
+                noise = model_generator.standard_normal((count, len(root)))
+                scatter = noise @ _cholesky(root @ root.T).T
+                sizes[rows, grams.columns_free] = pull @ base.root @ root.T + scatter
+            prior_u = grams.prior[: grams.d, : grams.d]
+            root_u, _ = _inverse_root(base.nuisance_gram[: grams.d, : grams.d], prior_u)
+            inverse_u = root_u @ root_u.T
             # Rows with misfit leave u less certain than the draws of u alone have it.
             values, vectors = np.linalg.eigh(inverse_u - grams.inverse_u)
             extra = model_generator.standard_normal((count, grams.d)) * np.sqrt(
@@ -894,7 +905,7 @@ class ModelPosterior:
             signal = sizes[rows][:, grams.columns_remaining] @ base.cross[: grams.d, : grams.k].T
             signal += h[rows] @ base.cross[: grams.d, grams.k :].T
             signal += sizes[rows][:, grams.columns_free] @ base.nuisance_gram[grams.d :, : grams.d]
-            centre = (base.nuisance_pull[: grams.d] - signal) @ inverse_u
+            centre = (base.nuisance_pull[: grams.d] - signal) @ root_u @ root_u.T
             shift[rows] = centre + extra @ vectors.T - unshifted
         order = generator.permutation(n)
         shift = shift[order]
@@ -934,13 +945,6 @@ def _smallest_cover(
         members.append(max(gain, key=lambda label: gain[label]))
         uncovered = [(labels, p) for labels, p in uncovered if members[-1] not in labels]
     return tuple(members) if sum(p for _, p in uncovered) <= 1.0 - NAMED_AT else ()
-
-
-def _constrained_mode(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:
-    """Most probable sizes with sign constraints."""
-    root = _cholesky(precision)
-    whitened = np.asarray(np.linalg.solve(root, right), dtype=float)
-    return bounded_least_squares(root.T, whitened, np.where(positive, 0.0, -np.inf))
 
 
 def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:

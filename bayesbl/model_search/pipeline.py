@@ -137,14 +137,9 @@ def rival_loops(
 class AveragedFit:
     """The fit that gives the answer, and the models that its draws are averaged over.
 
-    Attributes
-    ----------
-    linear_fit
-        The fit, with the terms linearised at it.
-    others
-        Other sets of what the bench may lack, each with its probability.
-    nuisances
-        Directions to marginalise in each of these sets, if the search did not do so.
+    ``linear_fit``: the fit, with the terms linearised at it; ``others``: other sets of what the
+    bench may lack, each with its probability; ``nuisances``: directions to marginalise in each of
+    these sets, if the search did not do so.
     """
 
     linear_fit: LinearisedFit | FittedSet

@@ -19,6 +19,10 @@ from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import FloatArray
 
+SEEN_STEP = 4.0
+"""Change of the signals over a derivative's step, in standard deviations of noise: a smaller one
+drowns in the simulator's error, a larger one suffers from curvature."""
+
 SCANNED_GAPS = 10
 MOST_FROM_AFAR = 3
 LEFT_FROM_AFAR = 0.5
@@ -97,12 +101,8 @@ def refit(
 ) -> Explanation | None:
     """Fit a set extended by some candidates roughly; ``None`` if it cannot be simulated.
 
-    Parameters
-    ----------
-    added
-        Candidates, each with the coordinates that the linearisation promises, shape (k,).
-    shift
-        Promised shift of the base fit's unknowns, shape (d,).
+    ``added``: candidates, each with the coordinates that the linearisation promises, shape (k,);
+    ``shift``: promised shift of the base fit's unknowns, shape (d,).
     """
     model = base.fit.model
     for candidate, _ in added:
@@ -182,6 +182,42 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
     return sorted(hopeful, key=lambda e: e.fit.chi_square)
 
 
+def slopes(
+    model: SimulatedSignals,
+    index: int,
+    point: FloatArray,
+    moves: FloatArray,
+    steps: tuple[FloatArray, FloatArray, FloatArray],
+    reference: FloatArray | None = None,
+) -> FloatArray:
+    """Derivatives of one recording's whitened signals along moves of a point, (k, N).
+
+    A step whose change of the signals is far from ``SEEN_STEP`` is made once more.
+
+    ``moves``: changes of the point by a step of one, (k, d); ``steps``: first, shortest and longest
+    step along each, (k,); no derivative is made by a step of zero; ``reference``: whitened residual
+    at the point, (N,), if it is known.
+    """
+    first, shortest, longest = steps
+    if reference is None:
+        reference = model.whitened_of(point, index)[0]
+    sizes = np.minimum(first, longest)
+    result, pending = np.zeros((len(moves), reference.size)), np.flatnonzero(sizes > 0.0)
+    for _ in range(2):
+        points = point + sizes[pending, None] * moves[pending]
+        # Rounding must not take an unknown out of its range.
+        trials = np.clip(points, np.minimum(model.low, point), np.maximum(model.high, point))
+        changes = reference - model.whitened_of(trials, index)
+        result[pending] = changes / sizes[pending, None]
+        better = sizes[pending] * SEEN_STEP / np.maximum(np.linalg.norm(changes, axis=1), 1e-12)
+        better = np.clip(better, shortest[pending], longest[pending])
+        repeated = (better > 2.0 * sizes[pending]) | (better < 0.2 * sizes[pending])
+        sizes[pending], pending = better, pending[repeated]
+        if not pending.size:
+            break
+    return result
+
+
 def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]]:
     """Derivatives of the whitened signals by a candidate that is not in the fit yet.
 
@@ -190,13 +226,12 @@ def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]
     For each start, columns of shape (N,): one for each amplitude, or two (sine, cosine) for each
     recording with its own phase. Columns that cannot be simulated are left out.
     """
-    model = extended(fit.model, candidate)
     phases = (0.0, 0.5 * math.pi) if candidate.is_periodic else (None,)
     return [
         [
             column
             for amplitude, phase in itertools.product(candidate.amplitudes, phases)
-            for column in _columns(fit, model, candidate, start, amplitude, phase)
+            for column in _columns(fit, candidate, start, amplitude, phase)
         ]
         for start in (candidate.neutral, *candidate.starts)
     ]
@@ -204,7 +239,6 @@ def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]
 
 def _columns(
     fit: SimulatedFit,
-    model: SimulatedSignals,
     candidate: Candidate,
     start: FloatArray,
     amplitude: int,
@@ -212,44 +246,41 @@ def _columns(
 ) -> list[FloatArray]:
     """Change of the whitened signals per unit of one amplitude; one column for each separate phase.
 
-    ``model``: includes the candidate, whose unknowns come last.
+    If the start has a size, the change over all of it counts.
     """
-    neutral_start = start.copy()
-    neutral_start[candidate.amplitudes] = candidate.neutral[candidate.amplitudes]
+    model, neutral, d = extended(fit.model, candidate), start.copy(), fit.point.size
+    neutral[candidate.amplitudes] = candidate.neutral[candidate.amplitudes]
     if phase is not None:
-        neutral_start[candidate.phases] = phase
+        neutral[candidate.phases] = phase
     amount = float(start[amplitude] - candidate.neutral[amplitude])
     if amount == 0.0:
         # A thousandth of the range, downwards at its upper end; from below the range, up to its
         # lower end.
-        unknown, value = candidate.unknowns[amplitude], float(neutral_start[amplitude])
+        unknown, value = candidate.unknowns[amplitude], float(neutral[amplitude])
         amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - value)
         amount = amount if value + amount <= unknown.high else -amount
-    point = np.concatenate([fit.point, neutral_start])
-    trial = point.copy()
-    trial[fit.point.size + amplitude] += amount
-    # A newly added effect changes nothing at its neutral value, so the fit's residual is valid
-    # here.
-    is_fit = model.bench is not fit.model.bench
+    move = np.zeros((1, d + neutral.size))
+    move[0, d + amplitude] = math.copysign(1.0, amount)
+    point, step = np.concatenate([fit.point, neutral]), np.array([abs(amount)])
     owners = [
         k
         for k, observation in enumerate(model.recordings)
         if candidate.recording in (None, observation.name)
     ]
-    change = np.zeros(model.size)
+    # An effect that is new changes nothing at its neutral value: there the residual is the fit's.
+    is_fit = model.bench is not fit.model.bench
+    column = np.zeros(model.size)
+    parts, residuals = model.by_recording(column), model.by_recording(fit.residual)
 
     def fill(k: int) -> None:
-        part = model.by_recording(change)[k].reshape(-1)
-        part[:] = model.by_recording(fit.residual)[k].reshape(-1)
-        if not is_fit:
-            part[:] = model.whitened_of(point, k)[0]
-        part -= model.whitened_of(trial, k)[0]
+        reference = residuals[k].reshape(-1) if is_fit else None
+        change = slopes(model, k, point, move, (step, step, step), reference)[0]
+        parts[k][:] = math.copysign(1.0, amount) * change.reshape(parts[k].shape)
 
     in_threads(fill, owners, model.workers)
-    change /= amount
-    if not np.all(np.isfinite(change)):
+    if not np.all(np.isfinite(column)):
         return []
-    return [change] if phase is None else [model.only_in(owner, change) for owner in owners]
+    return [column] if phase is None else [model.only_in(owner, column) for owner in owners]
 
 
 def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> FloatArray:

@@ -324,13 +324,19 @@ def motor_orders(fit: SimulatedFit) -> list[float]:
         remaining = residuals_of(fit).remaining
     except RecordingError:
         return []
-    powers: dict[float, float] = {}
-    for entry in remaining:
+    shares: dict[float, float] = {}
+    for entry, share in with_shares(remaining):
         whole_order = float(round(entry.lowest_order)) if entry.dependence in TURNING else 0.0
         if whole_order and abs(entry.lowest_order - whole_order) < tolerance:
-            channel_power = sum(e.amplitude**2 for e in remaining if e.channel == entry.channel)
-            powers[whole_order] = powers.get(whole_order, 0.0) + entry.amplitude**2 / channel_power
-    return sorted(powers, key=lambda order: -powers[order])[:MOST_ORDERS]
+            shares[whole_order] = shares.get(whole_order, 0.0) + share
+    return sorted(shares, key=lambda order: -shares[order])[:MOST_ORDERS]
+
+
+def with_shares(remaining: Sequence[Unexplained]) -> Iterator[tuple[Unexplained, float]]:
+    """Each entry with its share in the power of all entries of its channel."""
+    for entry in remaining:
+        power = sum(e.amplitude**2 for e in remaining if e.channel == entry.channel)
+        yield entry, entry.amplitude**2 / power
 
 
 def analyse_residuals(

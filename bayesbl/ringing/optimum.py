@@ -98,7 +98,7 @@ class Optimum:
 
     @property
     def evaluations(self) -> int:
-        """Evaluations of the objective by CMA-ES in all its runs."""
+        """Evaluations of the objective by the search, without those of the local refinements."""
         return int(sum(self.history.evaluations[self.history.ends]))
 
     @property
@@ -369,7 +369,8 @@ def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
     ends = np.array([end, *(refine(objective, x) for x in exchanged(objective.model, end))])
     end_sse = objective.sum_of_squares(ends)
     rmse = np.sqrt(np.array([np.min(sse), np.min(end_sse)]) / objective.samples_used)
-    history = SearchHistory(np.zeros(2), np.array([1.0, float(len(folds))]), rmse)
+    evaluations = np.cumsum([float(len(folds)), float(len(ends))])
+    history = SearchHistory(np.zeros(2), evaluations, rmse)
     if not np.any(np.isfinite(end_sse)):
         raise NoLongerFits("its pulses fit nowhere")
     optimum = settled(objective, ends, history, "warm")

@@ -17,7 +17,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import inferred
-from bayesbl.diagnosis.rigid.orders import OrderedRest, clearest
+from bayesbl.diagnosis.rigid import speed_loop
+from bayesbl.diagnosis.rigid.orders import OrderedRest, OrderSpectrum, Peak, clearest
 from bayesbl.diagnosis.rigid.speed_loop import (
     ANGLE,
     CANDIDATES,
@@ -345,3 +346,24 @@ def test_noise_alone_stands_out_as_rarely_as_it_is_said_to() -> None:
         peak = clearest(pieces, (), False, highest=64.0, coloured=True)
         alarms += peak.log_chance < math.log(0.1)
     assert alarms <= 12
+
+
+def test_a_whole_order_is_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line beside a whole order that is known already stays where it is."""
+    used = loop_setting(task(tmp_path, [recorded(Drive(), 800.0, 1)])).used
+    found = iter([6.01, 6.03, 7.98])
+
+    def peak(*_: object, **__: object) -> Peak:
+        order = next(found)
+        return Peak(order, 0.01, 200.0, -90.0, 1.0, OrderSpectrum(np.arange(3.0), None, {}, 1.0))
+
+    monkeypatch.setattr(speed_loop, "clearest", peak)
+    assert [line.order for line in find_orders(used, 3, 0.01)] == [6.0, 6.03, 8.0]
+
+
+def test_a_gain_beyond_its_tolerance_has_one_value(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, Drive(torques=RIPPLE, integral_gain=6.0), SLOW_RPM)
+    (error,) = found.parameter_errors
+    assert error.name == "integral_gain_nm_per_rad"
+    assert math.exp(error.fitted.value) == pytest.approx(6.0, rel=0.05)
+    assert found.bench_parameters[error.name].value == pytest.approx(error.fitted.value)

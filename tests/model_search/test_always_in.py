@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from types import ModuleType
+from dataclasses import dataclass, replace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import direct_reasons, fit_directly
+from bayesbl.model_search import always_in
 from bayesbl.model_search.always_in import (
     Direction,
     Label,
@@ -599,3 +600,41 @@ def test_a_law_at_the_end_of_its_range_has_its_slope_from_within() -> None:
             linearised_fit(fit, [own]).posterior.draw(np.random.default_rng(1), 500).sizes.std()
         )
     assert sizes[0] == pytest.approx(sizes[1], rel=0.3)
+
+
+def test_drift_of_a_lag_in_one_recording_is_no_lag_of_the_loop() -> None:
+    """It is freed by itself: no controller of another period explains one recording."""
+    (lag,) = [d for d in directions(BENCH, {}) if d.effect == "speed_sensor_lag"]
+    assert Label((lag,), None).is_lag
+    assert not Label((replace(lag, drift=1e-4),), "after").is_lag
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_the_fit_that_answers_is_the_one_that_was_checked(
+    monkeypatch: pytest.MonkeyPatch, explains: bool
+) -> None:
+    """A one-sided fit explains the recordings; with central differences it may not."""
+    nominal, one_sided, central = (
+        SimpleNamespace(model=None, point=None, steps=None, chi_square=0.0) for _ in range(3)
+    )
+    one_sided.without_derivatives = lambda: one_sided
+    checked = {id(nominal): False, id(one_sided): True, id(central): explains}
+
+    @dataclass
+    class Checked:
+        fit: SimpleNamespace
+        loops: tuple[()] = ()
+
+        @property
+        def explains(self) -> bool:
+            return checked[id(self.fit)]
+
+    trials = iter([[one_sided], []])
+    monkeypatch.setattr(always_in, "linearised_fit", lambda fit, _: Checked(fit))
+    monkeypatch.setattr(always_in, "_with_next_freed", lambda *_: next(trials))
+    monkeypatch.setattr(
+        always_in, "fit_simulated", lambda *_, one_sided=False: fits[bool(one_sided)]
+    )
+    fits = {True: one_sided, False: central}
+    answer = always_in.with_far_terms_freed(nominal, [])
+    assert answer.fit is (central if explains else nominal)

@@ -405,3 +405,28 @@ def test_a_set_is_found_however_strong_the_evidence_is():
     column = np.random.default_rng(4).standard_normal((30, 1))
     posterior = search(view(1e9 * column[:, 0], [Term("h", column)]), 1)
     assert posterior.named == ("h",)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e6])
+def test_two_equal_columns_are_one_of_twice_the_prior_variance(size: float) -> None:
+    """Between them the data say nothing and the prior remains; neither costs any evidence."""
+    rng = np.random.default_rng(3)
+    column, other = rng.standard_normal((2, 40, 1))
+    residual = rng.standard_normal(40) + size * column[:, 0]
+    terms = [Term("h", other)]
+    twice = search(view(residual, terms, jacobian=size * np.hstack([column, column])), 1)
+    once = search(view(residual, terms, jacobian=math.sqrt(2.0) * size * column), 1)
+    assert twice.log_evidence == pytest.approx(once.log_evidence, abs=0.05)
+    drawn = twice.draw(np.random.default_rng(1), 2000).fitted
+    assert np.std(drawn[:, 0] - drawn[:, 1]) == pytest.approx(math.sqrt(2.0), rel=0.1)
+
+
+@pytest.mark.parametrize("positive", [True, False])
+@pytest.mark.parametrize("always", [True, False])
+def test_collinear_terms_of_next_to_no_noise_have_an_answer(positive: bool, always: bool) -> None:
+    column = np.random.default_rng(5).standard_normal((40, 1))
+    for size in (1e8, 1e9, 1e12):
+        terms = [Term(name, size * column, positive, always) for name in ("a", "b")]
+        posterior = search(view(size * column[:, 0], [*terms, Term("c", size * column)]), 3)
+        assert np.all(np.isfinite(posterior.draw(np.random.default_rng(1), 20).sizes))
+        assert np.isfinite(posterior.log_evidence)

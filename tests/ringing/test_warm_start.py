@@ -22,6 +22,7 @@ from bayesbl.measurement.amplitude_route import read_earlier
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.store import write_tree
+from bayesbl.ringing import optimum
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import (
@@ -243,3 +244,12 @@ start_from = "result.nc"
 def test_a_result_that_is_not_there_is_refused_by_its_option(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--start-from: There is no such file"):
         config_from_options("fit", [BEFORE], start_from=tmp_path)
+
+
+def test_a_warm_start_counts_every_phase_that_it_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+    folds = optimum._folds
+    monkeypatch.setattr(optimum, "_folds", lambda *args: tried.append(folds(*args)) or tried[0])
+    found = warm_optimum(objective_of(recording()), OLD)
+    assert found.history.evaluations[0] == len(tried[0])
+    assert found.evaluations > len(tried[0])
