@@ -1,9 +1,8 @@
-"""Where bench and measurement disagree, and which effect of the catalogue the bench lacks.
+"""Find where bench and measurement disagree, and which effect of the catalogue the bench lacks.
 
-A :class:`~bayesbl.diagnosis.task.Task` goes in, a :class:`~bayesbl.diagnosis.diagnosis.Diagnosis`
-comes out, by one of :data:`bayesbl.runs.diagnose.METHODS`. ``closed_loop`` simulates a
-two-mass bench beside speed and current. ``rigid`` has the views of a rigid bench: ``inverse``
-compares measured motion with the torque it should have needed, ``free_motion`` a joint let go
-without torque with its simulation, ``speed_loop`` lines of the speed alone; all by ``inference``.
-``groups`` stores and summarises any diagnosis.
+Each of :data:`bayesbl.runs.diagnose.METHODS` takes a :class:`~bayesbl.diagnosis.task.Task` and
+returns a :class:`~bayesbl.diagnosis.diagnosis.Diagnosis`. ``closed_loop`` simulates speed and
+current of a two-mass bench. ``rigid`` has the views of a rigid bench, all with ``inference``:
+``inverse`` compares measured and required torque, ``free_motion`` simulates a joint without motor
+torque, ``speed_loop`` compares lines of the speed. ``groups`` stores and summarises any diagnosis.
 """

@@ -1,7 +1,7 @@
-"""The answer of a diagnosis, whatever the method: verdict, named effects, model error.
+"""Result of a diagnosis by any method: verdict, named effects, disagreement.
 
-Every method of :data:`bayesbl.runs.diagnose.METHODS` returns a :class:`Diagnosis`; what is stored,
-summarised and drawn depends on what one holds, never on the method that made it.
+Every method of :data:`bayesbl.runs.diagnose.METHODS` returns a :class:`Diagnosis`. Storage, summary
+and figures depend on its contents, never on the method.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bayesbl.model_search.residuals import Unexplained
 from bayesbl.recording.types import FloatArray
 
 CURVE_POINTS = 181
-"""Of a :class:`LearnedAnswer`: one for every two degrees of a turn."""
+"""Points of a :class:`LearnedAnswer`: one for every two degrees of a turn."""
 
 Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
 
@@ -33,13 +33,9 @@ Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
 class Estimate:
     """A fitted value.
 
-    Attributes
-    ----------
-    value, sd
-        Of a normal distribution; of the value's logarithm where ``logarithmic``. The sd is NaN
-        where the value was held.
-    draws
-        Of the posterior, any shape, in the value's own unit; ``None`` where it was not sampled.
+    ``value``, ``sd``: mean and standard deviation of the value, or of its logarithm if
+    ``logarithmic``. The sd of a fixed value is NaN. ``draws``: posterior draws in the value's own
+    unit, of any shape; ``None`` without sampling.
     """
 
     value: float
@@ -52,15 +48,9 @@ class Estimate:
 class NamedEffect:
     """An effect that the bench lacks.
 
-    Attributes
-    ----------
-    probability
-        That it is this one: against its absence at even odds, or among those that cannot be told
-        apart.
-    z
-        How clearly it stands out, in standard deviations.
-    indistinguishable_from
-        Other effects that would explain these recordings as well.
+    ``probability``: posterior probability of this effect, or of one of those that are
+    indistinguishable; ``z``: size in standard deviations; ``indistinguishable_from``: other effects
+    that explain the recordings as well.
     """
 
     name: str
@@ -72,7 +62,7 @@ class NamedEffect:
 
 @dataclass(frozen=True, slots=True)
 class ParameterError:
-    """A bench parameter whose fitted value the bench file does not allow."""
+    """A bench parameter whose fitted value is beyond its tolerance."""
 
     name: str
     believed: float
@@ -88,13 +78,13 @@ class Suggestion:
     Attributes
     ----------
     reference_speed_rpm
-        Of the motor, negative for reverse.
+        Motor speed, negative for reverse.
     payload_share
         Gravity torque and load inertia over the present ones.
     distance
-        |z| between the best fits of the two explanations that come closest in it.
+        |z| between the predictions of the two most similar explanations.
     separates
-        Sets of names that these recordings cannot tell apart.
+        Sets of names that these recordings cannot distinguish.
     """
 
     reference_speed_rpm: float
@@ -105,14 +95,10 @@ class Suggestion:
 
 @dataclass(frozen=True, slots=True)
 class LearnedAnswer:
-    """What was learned where no effect of the catalogue explains what repeats.
+    """A learned torque or encoder error that no effect of the catalogue explains.
 
-    Attributes
-    ----------
-    variable, sd
-        Values of what it depends on, and its standard deviation there, (n,) each.
-    alike
-        Other dependences that the recordings do not tell from it.
+    ``variable``, ``sd``: values of the variable, and the standard deviation of the term there, (n,)
+    each; ``alike``: other dependences that the recordings do not distinguish from it.
     """
 
     term: LearnedTerm
@@ -122,40 +108,40 @@ class LearnedAnswer:
 
     @property
     def value(self) -> FloatArray:
-        """N m at the side it acts, forwards, or rad, (n,)."""
+        """Torque at its side in forward rotation, N m, or error, rad, (n,)."""
         return self.term.over(self.variable)
 
     @property
     def amplitude(self) -> float:
-        """Largest size in the term's unit, less its mean where it does not reverse."""
+        """Largest absolute value in the term's unit, without the mean unless it reverses."""
         size = self.value
         return float(np.abs(size if self.term.reverses else size - size.mean()).max())
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The whole answer.
+    """The whole result.
 
     Attributes
     ----------
     remaining
         What still stands out after naming.
     pieces
-        All that was compared.
+        Everything that was compared.
     bench_parameters
-        Declared unknown ones, fitted.
+        Fitted values of the parameters declared unknown.
     delta_before
-        δ (rad) of the first recording that was fitted, with the bench as believed; ``None`` of a
-        rigid bench.
+        δ (rad) of the first fitted recording with the bench as believed; ``None`` for a rigid
+        bench.
     gaps
-        δ (rad) with what was named, of every recording that was fitted; empty of a rigid bench, or
-        where it is withheld.
+        δ (rad) of each fitted recording with the named effects; empty for a rigid bench, or if it
+        is withheld.
     gap_withheld
-        Why no gap is given; empty where one is, or nothing is asked of it.
+        Reason why no gap is given; empty otherwise.
     augmented_bench
-        The bench with what was named and learned in it.
+        The bench with everything that was named and learned.
     learned
-        A torque of no known law, or an error of the encoder.
+        A torque without a known law, or an error of the encoder.
     """
 
     verdict: Verdict
@@ -175,23 +161,23 @@ class Diagnosis:
 
     @property
     def delta_after(self) -> Estimate | None:
-        """δ (rad) of the first recording, as ``delta_before``, with what was named."""
+        """δ (rad) of the first recording with the named effects."""
         return next(iter(self.gaps.values()), None)
 
     @property
     def disagreement(self) -> DisagreementTableSummary:
-        """Of all pieces."""
+        """Disagreement of all pieces."""
         return disagreement_table(self.pieces)
 
     @property
     def signals(self) -> tuple[ComparedPiece, ...]:
-        """Pieces that are stored: of a closed loop those held out, or all if none is."""
+        """Pieces to store: the held-out ones of a closed loop, or all if there are none."""
         of_loop = (p for p in self.pieces if p.noise_floor_from == "rotation")
         return tuple(p for p in of_loop if p.use == "held_out") or self.pieces
 
 
 def verdict_of(*, effects: bool, parameters: bool, remains: bool) -> Verdict:
-    """One word: effects are named, parameters wrong, something remains that nothing explains."""
+    """Verdict, by whether effects are named, parameters are wrong, and something remains."""
     if effects:
         return "named"
     if parameters:

@@ -1,14 +1,13 @@
-"""How far bench and measurement lie apart, before naming and after, against the noise.
+"""Disagreement of bench and measurement before and after naming, and the noise floor.
 
-One definition for every method. The noise floor is the RMS of what does not follow from a
-recording's own past: from one load rotation before where the recording holds whole rotations,
-elsewhere from the samples just before. What repeats in every rotation is no noise for the first,
-but is for the second where it cannot be predicted, so that the two are stored with where they are
-from and are not to be compared. Behind a low pass even white noise follows from the samples before,
-the more the denser they are: what the filter alone foretells is noise still.
+All methods share this definition. The noise floor is the RMS of what a recording's own past does
+not predict: one load rotation earlier if the recording holds whole rotations, else the preceding
+samples. Whatever repeats in every rotation is no noise by the first, but may be by the second, so
+each floor is stored with its origin and the two are not compared. Behind a low pass, the preceding
+samples predict even white noise, the better the denser they are. This part counts as noise.
 
-Noise is autoregressive, from the residual of a fit. All of it counts, misfit included: what a bench
-that is still wrong leaves blurs what it could show.
+Noise is autoregressive, estimated from the residual of a fit with its misfit, because the misfit
+of a wrong bench hides other effects.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.units import unit_of
 
 AROUND = 25
-"""Samples: their mean square is good to 0.28 of itself where they are independent."""
+"""Samples in a local mean square. If independent, its relative error is 0.28."""
 
 _FREQUENCIES = np.linspace(0.0, math.pi, 2001)
-"""rad per sample."""
+"""Frequencies, rad per sample."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualNoise:
-    """Autoregressive noise in the unit of its channel; order by BIC over 0 to 15."""
+    """Autoregressive noise in the channel's unit; the order, 0 to 15, by BIC."""
 
     sd: float
     coefficients: FloatArray
@@ -43,7 +42,7 @@ class ResidualNoise:
 
     @classmethod
     def of(cls, residual: FloatArray) -> ResidualNoise:
-        """Burg's estimate on a residual of shape (n,)."""
+        """Estimate by Burg's method from a residual of shape (n,)."""
         n = residual.size
         log_variances, by_order = burg(residual, min(HIGHEST_ORDER, n // 20))
         order = int(np.argmin(bic(log_variances, n)))
@@ -51,23 +50,23 @@ class ResidualNoise:
 
     @property
     def innovation(self) -> float:
-        """Standard deviation of what does not follow from the samples before."""
+        """Standard deviation of the prediction error from preceding samples."""
         return self.sd * math.sqrt(max(0.0, innovation_share(self.coefficients)))
 
     @property
     def strongest(self) -> float:
-        """Standard deviation per sample at the frequency where the noise is strongest."""
+        """Standard deviation per sample at the frequency of strongest noise."""
         waves = np.exp(-1j * np.outer(_FREQUENCIES, np.arange(1, self.coefficients.size + 1)))
         return float(np.max(self.innovation / np.abs(1.0 - waves @ self.coefficients)))
 
     @property
     def local(self) -> FloatArray:
-        """The same where the residual is as large as around each of its samples, (n,).
+        """``strongest``, scaled by the local RMS of the residual at each sample, (n,).
 
-        What a bench leaves comes in bursts, where the axis starts, slips or turns round.
+        Residuals come in bursts, where the axis starts, slips or reverses.
         """
         power = uniform_filter1d(self.residual**2, min(AROUND, self.residual.size), mode="nearest")
-        power = np.maximum(power, 0.0)  # of its running sum rounding leaves less than none
+        power = np.maximum(power, 0.0)  # rounding in the running sum
         return np.asarray(self.strongest * np.sqrt(power) / max(self.sd, np.finfo(float).tiny))
 
 
@@ -77,7 +76,7 @@ FloorFrom = Literal["rotation", "samples"]
 USES: tuple[Use, ...] = ("used", "held_out")
 
 SURE_EXCESS = 10.0
-"""Standard errors that the excess over the noise must have before a share of it is reported."""
+"""Standard errors of the excess over the noise from which its closed fraction is reported."""
 
 CORRELATION_LAGS = 200
 
@@ -85,7 +84,8 @@ CORRELATION_LAGS = 200
 class DisagreementSummary(TypedDict):
     """RMS of measurement minus simulation, in ``unit``; the unit ``noise`` is the noise floor.
 
-    ``before`` is without what was named, ``after`` with it; declared unknowns are fitted in both.
+    ``before`` is without the named effects, ``after`` with them; declared unknowns are fitted in
+    both.
     ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null if noise may cause all of
     the disagreement before.
     """
@@ -112,21 +112,21 @@ class DisagreementTableSummary(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class ComparedPiece:
-    """One channel of a recording, or of a part of it, beside its predictions.
+    """One channel of a recording, or of a part of it, with its predictions.
 
     Attributes
     ----------
     use
         ``used``: effects were fitted on it. ``held_out``: only start, phases and offsets were.
     measured
-        Shape (n,), the channel's unit; NaN where nothing was.
+        Shape (n,), in the channel's unit; NaN for excluded samples.
     before, after
-        Predicted without and with what was named, as ``measured``.
+        Predictions without and with the named effects, as ``measured``.
     residual
-        What is compared of measured less these, (2, n).
+        Residuals of both that are compared, (2, n).
     noise_floor, noise_floor_from
-        RMS of what does not follow from the recording's own past, and which past: the load rotation
-        before, or the samples before.
+        RMS that the recording's own past does not predict, and which past: the load rotation, or
+        the samples before.
     """
 
     recording: str
@@ -155,16 +155,11 @@ class ComparedPiece:
         rotation: int | None = None,
         white: FloatArray | None = None,
     ) -> ComparedPiece:
-        """With its noise floor.
+        """Make a piece and its noise floor.
 
-        Parameters
-        ----------
-        residual
-            As the attribute, where samples are left out.
-        rotation
-            Samples in a load rotation, of a recording that holds whole ones; ``None`` elsewhere.
-        white
-            Autocovariance, in samples, of white noise behind the filter that both sides passed.
+        ``residual``: as the attribute, if samples are excluded; ``rotation``: samples in a load
+        rotation if the recording holds whole ones; ``white``: autocovariance of white noise behind
+        the comparison's filter, by lag in samples.
         """
         signals = time_s, measured, before, after
         residual = measured - np.stack([before, after]) if residual is None else residual
@@ -201,7 +196,7 @@ def disagreement_table(pieces: Sequence[ComparedPiece]) -> DisagreementTableSumm
 
 
 def _disagreement(parts: Sequence[tuple[ComparedPiece, float]], unit: str) -> DisagreementSummary:
-    """Of some pieces together, each multiplied by its factor."""
+    """Disagreement of some pieces together, each multiplied by its factor."""
     size = sum(piece.residual.shape[1] for piece, _ in parts)
     before, after = (
         sum(float(np.sum((factor * piece.residual[k]) ** 2)) for piece, factor in parts) / size
@@ -210,7 +205,7 @@ def _disagreement(parts: Sequence[tuple[ComparedPiece, float]], unit: str) -> Di
     floor = sum(p.residual.shape[1] * (factor * p.noise_floor) ** 2 for p, factor in parts) / size
     independent = sum(piece.residual.shape[1] / _inflation(piece.residual[1]) for piece, _ in parts)
     excess = before - floor
-    # Of a mean square of noise, taken twice, and of its product with the misfit.
+    # Errors of two mean squares of noise, and of the product of noise and misfit.
     error = math.sqrt((4.0 * floor**2 + 4.0 * max(excess, 0.0) * floor) / independent)
     return {
         "before": math.sqrt(before),
@@ -222,7 +217,7 @@ def _disagreement(parts: Sequence[tuple[ComparedPiece, float]], unit: str) -> Di
 
 
 def _inflation(residual: FloatArray) -> float:
-    """1 + 2 Σ ρ_k²: by how much correlation lowers the number of independent squares."""
+    """1 + 2 Σ ρ_k²: ratio of the numbers of all and of independent squares."""
     centred = residual - residual.mean()
     lags = min(CORRELATION_LAGS, centred.size // 4)
     power = float(centred @ centred)

@@ -1,13 +1,12 @@
-"""``summary.json`` of a diagnosis, and the groups of ``result.nc`` by which it is stored.
+"""``summary.json`` of a diagnosis, and the groups of ``result.nc``.
 
-Each group is there where there is something to store.
-``signals``: measured and predicted, for every piece (a channel of a recording, or of a part of it);
-of a closed loop for those held out. ``posterior``: draws of everything unknown, with what was named
-added. ``learned_torque``, ``encoder_error``: what was learned, over what it depends on.
+``signals``: measured and predicted values of every piece (a channel of a recording, or of a part of
+it); of a closed loop, of the held-out pieces. ``posterior``: draws of all unknowns, with the named
+effects. ``learned_torque``, ``encoder_error``: the learned term over its variable. A group without
+contents is left out.
 
-The answer in the words of ``summary.json``, the disagreement among it, is JSON in the attribute
-``diagnosis`` of the root, the bench with what was named in it a bench file in the attribute
-``augmented_bench``.
+The root attribute ``summary`` is the answer in the words of ``summary.json``, as JSON;
+``augmented_bench`` is a bench file with the named effects.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ class ParameterErrorSummary(TypedDict):
 
 
 class RemainingSummary(TypedDict):
-    """What still repeats after naming; ``chi_squared`` is null if the test of the line has none."""
+    """What remains after naming; ``chi_squared`` is null if its test has none."""
 
     channel: str
     dependence: str
@@ -82,7 +81,7 @@ class RemainingSummary(TypedDict):
 
 
 class LearnedDependence(TypedDict):
-    """Where something learned acts and what it depends on; ``period`` in rad, rad/s or s."""
+    """Side and variable of a learned term; ``period`` in rad, rad/s or s."""
 
     side: Side | Literal["encoder"]
     variable: LearnedVariable
@@ -92,10 +91,10 @@ class LearnedDependence(TypedDict):
 
 
 class LearnedSummary(LearnedDependence):
-    """A torque of no known law, or an error of the encoder.
+    """A torque without a known law, or an error of the encoder.
 
-    ``amplitude_nm``, ``amplitude_rad``: its largest size, at its side. ``alike``: other dependences
-    that look the same in these recordings.
+    ``amplitude_nm``, ``amplitude_rad``: largest value at its side. ``alike``: other dependences
+    that these recordings do not distinguish from it.
     """
 
     amplitude_nm: NotRequired[float]
@@ -104,7 +103,7 @@ class LearnedSummary(LearnedDependence):
 
 
 class SuggestedRecording(TypedDict):
-    """A recording that would separate what these cannot."""
+    """A recording that would distinguish what these cannot."""
 
     reference_speed_rpm: float
     payload_share: float
@@ -123,7 +122,7 @@ class SamplingSummary(TypedDict):
 
 
 class Answer(TypedDict):
-    """What a diagnosis says."""
+    """Answer of a diagnosis."""
 
     verdict: Verdict
     effects: list[EffectSummary]
@@ -191,7 +190,7 @@ def _dependence(term: LearnedTerm) -> Any:
 
 
 def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> Interval | HeldValue:
-    """From the draws; of a normal distribution, or lognormal one, where there are none."""
+    """Interval from draws; without draws, of a normal or lognormal distribution."""
     if estimate.draws is not None:
         return interval(estimate.draws, level, kind)
     value = math.exp if estimate.logarithmic else float
@@ -211,7 +210,7 @@ def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> Interva
 
 
 def plain(value: object, of_estimate: Callable[[Estimate], object] | None = None) -> Any:
-    """A value as JSON can hold it: dataclasses as objects, tuples as lists, NaN as null."""
+    """A value for JSON: dataclasses become objects, tuples lists, NaN null."""
     if isinstance(value, Estimate) and of_estimate is not None:
         return of_estimate(value)
     if dataclasses.is_dataclass(value):
@@ -255,7 +254,7 @@ def signals_group(unit: str) -> Group:
 
 
 def _unknown(name: str) -> Variable:
-    """An unknown; one that belongs to a single recording has its name behind it, in brackets."""
+    """Variable of an unknown, whose label may end with a recording in parentheses."""
     shared, _, recording = name.removesuffix(")").partition(" (")
     unit, meaning = unit_and_meaning(shared)
     return Variable(
@@ -283,17 +282,11 @@ LEARNED = {
         table("variable (point) | rad | angle of the motor"),
     ),
 }
-"""By the name of what was learned."""
+"""Groups of learned terms, by their blocks."""
 
 
 def diagnosis_tree(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
-    """The whole result, without its origin.
-
-    Parameters
-    ----------
-    level, kind
-        Of the credible intervals.
-    """
+    """The whole result without its provenance; ``level``, ``kind``: of the credible intervals."""
     groups = {}
     if diagnosis.signals:
         groups["signals"] = signals_dataset(diagnosis.signals)
@@ -324,7 +317,7 @@ def diagnosis_tree(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> xr
 
 
 def signals_dataset(signals: Sequence[ComparedPiece]) -> xr.Dataset:
-    """Padded with NaN to the longest."""
+    """Signals of pieces, padded with NaN to the longest."""
     units = {unit_of(piece.channel) for piece in signals}
     group = signals_group(units.pop() if len(units) == 1 else "as the channel")
     values = columns(group, signals)
@@ -336,7 +329,7 @@ def signals_dataset(signals: Sequence[ComparedPiece]) -> xr.Dataset:
 
 
 def posterior_dataset(posterior: DirectPosterior) -> xr.Dataset:
-    """Draws of every unknown, in its own unit."""
+    """Draws of every unknown in its own unit."""
     values = {}
     for i, unknown in enumerate(posterior.fit.model.unknowns):
         name = result_name(unknown)

@@ -1,9 +1,9 @@
-"""From an affine model of recordings to names, sizes and disagreement: one posterior, one rule.
+"""Infer names, sizes and disagreement from an affine model of the recordings.
 
-Around its fit a view is affine, base + nuisances u + candidates a + discrepancy h, and knows
-nothing of probabilities. The posterior is :mod:`bayesbl.model_search.linear`'s. Noise is
-autoregressive, as the model with everything in it leaves it, then as the average over the posterior
-does.
+Near its fit, a view predicts base + nuisances u + candidates a + discrepancy h. The posterior over
+sets of candidates is that of :mod:`bayesbl.model_search.linear`. The noise is autoregressive. It is
+estimated first from the residual of a ridge regression on everything, then from the residual of the
+posterior mean.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, Protocol, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 
@@ -49,28 +49,26 @@ from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.units import unit_of
 
 MOST_TERMS = 8
-"""Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
+"""Largest number of terms in a set: real rigid machines lacked at most five laws, besides lines."""
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A recording, or a part of one, as it is compared.
+    """A recording, or a part of one, with the channel that is compared.
 
     Attributes
     ----------
-    name, channel
-        Of the recording, and of what is compared.
     use
         ``used``: effects are fitted on it. ``held_out``: only start, phases and offsets are.
     time_s, measured
-        Shape (n,), evenly spaced; the channel's unit.
+        Evenly spaced samples, shape (n,), in the channel's unit.
     excluded
-        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+        Samples that are lost or not trusted, shape (n,); ``None`` for none.
     shown
-        Whether the answer tells its disagreement: not of what the comparison could not explain.
+        Whether its disagreement is reported.
     white
-        Autocovariance of white noise behind the filter that both sides passed, lags of 0, 1, …
-        samples; ``None`` where they passed none.
+        Autocovariance of white noise behind the comparison's filter, at lags of 0, 1, … samples;
+        ``None`` without a filter.
     """
 
     name: str
@@ -83,11 +81,11 @@ class Piece:
     white: FloatArray | None = None
 
     def kept(self, values: FloatArray) -> FloatArray:
-        """Values of the samples that count, (n, …) to (k, …)."""
+        """Values at the samples that are not excluded, (n, …) to (k, …)."""
         return values if self.excluded is None else values[~self.excluded]
 
     def part(self, rows: slice, use: Use) -> Piece:
-        """Some samples of it, with a use of their own."""
+        """Some of its samples, for another use."""
         excluded = None if self.excluded is None else self.excluded[rows]
         time_s, measured = self.time_s[rows], self.measured[rows]
         return replace(self, time_s=time_s, measured=measured, excluded=excluded, use=use)
@@ -100,61 +98,61 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The samples of pieces that count, one piece after the other: N in all."""
+    """Samples of several pieces that are not excluded, piece after piece: N in all."""
 
     pieces: tuple[Piece, ...]
 
-    def stack(self, of: Callable[[int], FloatArray]) -> FloatArray:
-        """What there is of each piece, (n, …), in one array, (N, …)."""
-        return np.concatenate([piece.kept(of(i)) for i, piece in enumerate(self.pieces)])
+    def stack(self, values_of: Callable[[int], FloatArray]) -> FloatArray:
+        """Stack values (n, …) of each piece, given by its index, into (N, …)."""
+        return np.concatenate([piece.kept(values_of(i)) for i, piece in enumerate(self.pieces)])
 
     @cached_property
     def slices(self) -> list[slice]:
-        """Of each piece."""
+        """Rows of each piece."""
         ends = np.cumsum([0, *(piece.kept(piece.time_s).size for piece in self.pieces)])
         return [slice(*pair) for pair in pairwise(ends.tolist())]
 
     @cached_property
     def measured(self) -> FloatArray:
-        """Shape (N,)."""
+        """Measured values, (N,)."""
         return self.stack(lambda i: self.pieces[i].measured)
 
-    def where(self, holds: Callable[[Piece], bool]) -> BoolArray:
-        """Samples of the pieces of which something holds, (N,)."""
+    def where(self, condition: Callable[[Piece], bool]) -> BoolArray:
+        """Mask of the rows whose piece fulfils a condition, (N,)."""
         lengths = [rows.stop - rows.start for rows in self.slices]
-        return np.repeat([holds(piece) for piece in self.pieces], lengths)
+        return np.repeat([condition(piece) for piece in self.pieces], lengths)
 
     def of(self, recording: str) -> BoolArray:
-        """Samples of one recording, (N,)."""
+        """Mask of the rows of one recording, (N,)."""
         return self.where(lambda piece: piece.name == recording)
 
     @cached_property
     def used(self) -> BoolArray:
-        """Those that are fitted, (N,)."""
+        """Mask of the rows that are fitted, (N,)."""
         return self.where(lambda piece: piece.use == "used")
 
     @cached_property
     def shown(self) -> BoolArray:
-        """Of these, those whose disagreement is told, (N,)."""
+        """Mask of the fitted rows whose disagreement is reported, (N,)."""
         return self.where(lambda piece: piece.use == "used" and piece.shown)
 
     @cached_property
     def recordings(self) -> tuple[str, ...]:
-        """Names of those that are fitted."""
+        """Names of the recordings that are fitted."""
         return tuple(dict.fromkeys(p.name for p in self.pieces if p.use == "used"))
 
     def by_recording(self, columns: FloatArray) -> FloatArray:
-        """Columns, (N, k), apart for every fitted recording, (N, k recordings)."""
+        """Columns (N, k) for each fitted recording separately, (N, k recordings)."""
         return np.hstack([columns * self.of(name)[:, None] for name in self.recordings])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """One shape of a candidate.
+    """One form of a candidate.
 
-    ``shapes``: parameters that are not linear, by name. ``columns``: change of the prediction by
-    one unit of each linear parameter, (N, k). ``weight``: share of its prior.
-    ``size``: that its parameter usually has, in its unit, where that is known whatever is compared.
+    ``shapes``: values of its nonlinear parameters. ``columns``: change of the prediction per unit
+    of each linear parameter, (N, k). ``weight``: share of the candidate's prior. ``size``: usual
+    size of its parameter in its unit, if it does not depend on the recordings.
     """
 
     shapes: Mapping[str, float]
@@ -165,27 +163,26 @@ class Look:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A hypothesis as a view sees it.
+    """A hypothesis of a view.
 
     Attributes
     ----------
     label
-        Unique; an effect's name, a bench parameter's, or a line's.
+        Unique: name of an effect, a bench parameter or a line.
     kind
-        ``effect`` of the catalogue, ``parameter`` of the bench that is wrong, ``line`` in time, or
-        ``gravity`` of which the bench states none.
-    name
-        Of the effect or the parameter.
+        ``effect`` of the catalogue, wrong ``parameter`` of the bench, ``line`` in time, or
+        ``gravity`` that the bench does not state.
     parameters
-        Names of the linear ones; of a wave its amplitude alone, as its columns are sine and cosine.
+        Names of the linear parameters. A wave has only its amplitude; its columns are sine and
+        cosine.
     usual
-        Share that it usually has in the root mean square of what is compared.
+        Usual share in the root mean square of the compared signal.
     not_negative
-        The amplitude has a sign.
+        Whether the amplitude cannot be negative.
     own_phase
-        A wave with a sine and a cosine for every recording; with one for all where ``False``.
+        Whether a wave has its own sine and cosine in each recording.
     probability
-        Beforehand; ``None`` where it is as of any other.
+        Prior probability; ``None`` for that of every other candidate.
     """
 
     label: str
@@ -203,15 +200,15 @@ class Candidate:
     probability: float | None = None
 
     @property
-    def holds_another(self) -> bool:
-        """Whether it is one law and a departure from it: two hypotheses in one."""
-        return self.kind == "effect" and bool(self.excludes)
+    def shapes(self) -> Mapping[str, float]:
+        """Nonlinear parameters of its first form."""
+        return self.looks[0].shapes
 
 
 def candidate_of(
     law: RigidLaw, name: str, parameters: tuple[str, ...], looks: tuple[Look, ...], **other: Any
 ) -> Candidate:
-    """The effect of this name, by its law; ``other``: fields that are not as that says."""
+    """Candidate for an effect, from its law; ``other``: fields with other values."""
     by_law = Candidate(
         name,
         "effect",
@@ -229,9 +226,9 @@ def candidate_of(
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A torque over a variable, its amplitudes falling as 1/k.
+    """Fourier series of a torque over a variable, whose amplitudes fall as 1/k.
 
-    ``reach``: of the variable, as recorded.
+    ``reach``: lowest and highest recorded value of the variable.
     """
 
     variable: Variable
@@ -242,18 +239,18 @@ class Series:
 
     @property
     def kind(self) -> str:
-        """What it is a torque over."""
+        """Kind of the discrepancy."""
         return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
 
     @cached_property
     def _decay(self) -> FloatArray:
-        """Of the amplitudes, cosines and sines, (2 orders,)."""
+        """1/k of the cosines, then of the sines, (2 orders,)."""
         return np.tile(1.0 / np.arange(1, self.orders + 1), 2)
 
     @cached_property
     def means(self) -> FloatArray:
-        """Of the waves over what was recorded, which are taken off, (2 orders,): the mean is an
-        effect's."""
+        """Means of the waves over the recorded range, (2 orders,). They are subtracted, because a
+        constant torque is an effect of the catalogue."""
         low, high = self.reach
         x = np.linspace(low, min(high, low + self.period), 1000)
         return np.asarray(self._waves(x).mean(axis=0))
@@ -262,23 +259,22 @@ class Series:
         return np.hstack(waves_over(x, self.period, self.orders)) * self._decay
 
     def waves(self, x: FloatArray) -> FloatArray:
-        """Cosines, then sines, less their means, (n, 2 orders)."""
+        """Cosines, then sines, without their means, (n, 2 orders)."""
         return self._waves(x) - self.means
 
     def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTerm:
-        """With coefficients of the waves, (2 orders,), and their standard deviations."""
-        waves = coefficients * self._decay
+        """Torque with these coefficients of the waves, (2 orders,), and standard deviations."""
+        waves = (coefficients * self._decay).tolist()
         sd: tuple[float, ...] = ()
         if sds is not None:
-            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
-            sd = (constant, *(sds * self._decay).tolist())
+            sd = (float(np.linalg.norm(sds * self.means)), *(sds * self._decay).tolist())
         return LearnedTerm(
             "motor",
             self.variable,
             self.period,
             -float(coefficients @ self.means),
-            tuple(waves[: self.orders].tolist()),
-            tuple(waves[self.orders :].tolist()),
+            tuple(waves[: self.orders]),
+            tuple(waves[self.orders :]),
             self.reverses,
             sd,
         )
@@ -286,8 +282,10 @@ class Series:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Discrepancy:
-    """Columns of what nothing explains, (N, m), each times its prior's amplitude; ``series``: the
-    torque that they are, if any."""
+    """Columns of one kind of discrepancy, (N, m), scaled to equal priors.
+
+    ``series``: the torque that they make up, if any.
+    """
 
     kind: str
     columns: FloatArray
@@ -296,13 +294,20 @@ class Discrepancy:
 
 @dataclass(frozen=True, eq=False)
 class AffineModel:
-    """A view around a fit, in the channel's unit, everything over its N rows.
+    """A view linearised at its fit, over its N rows, in the channel's unit.
 
-    ``nuisances``: columns that are fitted anyway, (N,), by name. ``nuisance_sds``: of those of
-    which something is known beforehand, around what the base has. ``without``: predictions of a fit
-    without any effect, (N,), where the base and the nuisances alone are none. ``bands``: rows in
-    which anything may be off. ``noises``: of every used piece, where known. ``most_terms``: of a
-    set.
+    Attributes
+    ----------
+    nuisances
+        Columns that are always fitted, (N,), by name.
+    nuisance_sds
+        Prior standard deviations of nuisances, around their value in ``base``; others are flat.
+    without
+        Prediction of a fit without any effect, (N,), if base and nuisances alone are none.
+    bands
+        Rows with unknown errors.
+    noises
+        Noise of each used piece, if it is known.
     """
 
     rows: Rows
@@ -318,35 +323,35 @@ class AffineModel:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the nuisances but for those of held-out recordings alone."""
-        used, every = self.rows.used, self.nuisances.items()
-        return tuple(name for name, column in every if column[used].any() or not column.any())
+        """Names of the nuisances, without those of held-out recordings."""
+        used, columns = self.rows.used, self.nuisances.items()
+        return tuple(name for name, column in columns if column[used].any() or not column.any())
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """Theirs, (N, d)."""
-        own = [self.nuisances[name] for name in self.names]
-        return np.column_stack([np.zeros((self.base.size, 0)), *own])
+        """Columns of these nuisances, (N, d)."""
+        columns = [self.nuisances[name] for name in self.names]
+        return np.column_stack([np.zeros((self.base.size, 0)), *columns])
 
     @cached_property
     def by_nuisances(self) -> FloatArray:
-        """Nuisances that fit the shown rows best beside nothing else, (d,)."""
+        """Least-squares fit of the nuisances alone to the shown rows, (d,)."""
         shown, residual = self.rows.shown, self.rows.measured - self.base
         return least_squares(self.jacobian[shown], residual[shown])
 
     def columns(self, candidate: Candidate, look: Look) -> FloatArray:
-        """Of a candidate, with a pair for every used recording where phases are their own."""
+        """Columns of a candidate, separate for each used recording if its phases are."""
         return self.rows.by_recording(look.columns) if candidate.own_phase else look.columns
 
 
 SURE_PARAMETER = 3.0
-"""Standard deviations beyond which a value is told: three in a thousand by chance."""
+"""Standard deviations beyond which a value is reported as wrong: three in a thousand by chance."""
 
 
 def impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
-    """A sentence for each fitted parameter that no joint can have: then nothing is believed.
+    """A sentence for each fitted parameter with a value that no joint can have.
 
-    Noise alone may carry a value below zero.
+    Nothing else of such a fit is believed. Noise alone may make a value slightly negative.
     """
     for name, estimate in estimates.items():
         info = PARAMETER_INFO[name]
@@ -360,7 +365,7 @@ def impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
 
 
 def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> Iterator[ParameterError]:
-    """Those that lie beyond their tolerance by more than their standard deviations explain."""
+    """Parameters that are significantly beyond their tolerances."""
     for name, fitted in estimates.items():
         believed = bench.parameters[name]
         beyond = abs(fitted.value - believed.value) - believed.tolerance
@@ -369,13 +374,13 @@ def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> Iterato
 
 
 TORQUES = ("N m", "kg")
-"""Beginnings of the units of what is in proportion to a torque: coefficients and inertias too."""
+"""First characters of the units of all quantities that are proportional to a torque."""
 
 
 def with_shared_scale(
     estimates: Mapping[str, Estimate], units: Mapping[str, str], scale_sd: float
 ) -> dict[str, Estimate]:
-    """Estimates by name, those of torques as uncertain as the factor.
+    """Add the uncertainty of a common factor of all torques to estimates, by name.
 
     ``scale_sd``: relative standard deviation of the factor, zero if it is known.
     """
@@ -388,81 +393,82 @@ def with_shared_scale(
 
 
 DRAWS = 1000
-"""Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
+"""Number of posterior draws: a standard deviation is exact to 2 %."""
 
 DISCREPANCY_SHARE = 0.1
-"""Of the root mean square of what is compared, that usually has no law of the catalogue: a smooth
-torque, or a share of a line's power, as no loop is quite as its equation."""
+"""Usual share of a discrepancy in the root mean square of the compared signal."""
 
 EXCESS = 3.4
-"""Of what a bench leaves over the noise floor, up to which it is taken for noise. Slower noise, and
-drift, is more, and nothing tells it from an effect that is missing. At 2.5 samples in a period of
-the cut-off it is 4 times what does not follow from the samples before: there white noise is 1.16
-times that. Denser samples do not move it."""
+"""Residual over the noise floor up to which it is taken for noise. Slow noise and drift exceed the
+floor, and nothing tells them from a missing effect. With 2.5 samples in a period of the cut-off,
+this is 4 times the prediction error from the past samples, where white noise has 1.16 times that.
+Denser samples do not change it."""
 
 CLOSED = 0.9
-"""Of the disagreement before, below which it must be after naming, if it is far above the noise."""
+"""Share of the disagreement that may remain after naming, if it is far above the noise."""
 
 MOST_EFFECTS = 6
-"""Named where a configuration does not say how many."""
+"""Default of the largest number of effects that are named."""
 
 NONE = 1e-6
-"""Of its usual size: so small a size is none."""
+"""Size relative to the usual one below which an effect counts as absent."""
 
 ROUNDS = 3
-"""Of search, noise and finer shapes."""
+"""Number of rounds of search, noise and finer shapes."""
 
 ROUNDING = 1e-6
-"""Least noise, of the root mean square of what the base leaves. A simulation without noise is
-explained to the last digit, and evidence would be that of its rounding, or none."""
+"""Smallest noise, relative to the residual of the base. A simulation without noise would otherwise
+be explained to the last digit, and evidence would come from rounding errors."""
 
 COLLINEAR = 0.9999
-"""Cosine between what two candidates do, from which it is the same but for a hundredth."""
+"""Cosine between the signals of two candidates beyond which they differ by less than 1 %."""
 
 _RIDGE_ROUNDS = 4
 _TINY = float(np.finfo(float).tiny)
 
 
-AnyView = TypeVar("AnyView", bound="Refinable")
+AnyView = TypeVar("AnyView", bound="View")
 
 
-class Refinable(Protocol):
-    """Recordings as an affine model around a fit."""
-
-    @property
-    def model(self) -> AffineModel:
-        """Around the present fit."""
-
-    def refined(self, inference: Inference) -> Self:
-        """Around the fit that an inference gives, with finer shapes."""
-
-
-class View(Refinable, Protocol):
-    """Recordings and a bench, linearised, of which :func:`diagnose` tells what is missing."""
+class View:
+    """Recordings and a bench as an affine model around a fit."""
 
     @property
     def rows(self) -> Rows:
-        """What is compared."""
+        """Rows that are compared."""
+        raise NotImplementedError
 
-    def prepared(self) -> View:
-        """Around a first fit."""
+    @property
+    def model(self) -> AffineModel:
+        """Model at the present fit."""
+        raise NotImplementedError
 
-    def settled(self, labels: Sequence[str]) -> View:
-        """Around the fit with these candidates and no other; itself where that is linear."""
+    def prepared(self) -> Self:
+        """The view at a first fit."""
+        return self
+
+    def refined(self, inference: Inference) -> Self:
+        """The view at the fit that an inference gives, with finer shapes."""
+        raise NotImplementedError
+
+    def settled(self, labels: Sequence[str]) -> Self:
+        """The view at the fit with exactly these candidates; the same if it is linear."""
+        return self
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
     ) -> Bench | None:
-        """The bench with what was named and learned, if a bench file can hold it."""
+        """The bench with everything named and learned, if a bench file can hold it."""
+        return None
 
     def reportable(self, inference: Inference, label: str) -> bool:
-        """Whether a name says something of the joint."""
+        """Whether a named candidate says something about the joint."""
+        return True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
-    """Of the nuisances (d,); of terms, in the catalogue's units, and of groups, by their places
-    where they are not none."""
+    """Nuisances, (d,); sizes of terms in catalogue units, and of discrepancy groups, by index."""
 
     nuisances: FloatArray
     sizes: Mapping[int, FloatArray] = field(default_factory=dict)
@@ -470,23 +476,20 @@ class Coefficients:
 
 
 class Inference:
-    """The posterior of one affine model.
+    """Posterior of one affine model.
 
     Attributes
     ----------
-    model
-        What was inferred.
     noises
-        Of every used piece.
+        Noise of each used piece.
     sizes
-        What the samples of used pieces are counted in, the channel's unit, (N,): one size for all
-        that are shown, one for those that hold lines alone, of the noise where its spectrum is
-        strongest, and more where it is larger than on average. There p'Σp ≤ s² p'p for every
-        prediction p, so that no evidence is counted that is not there. Whitened, or each in its
-        own, recordings would be fitted where they are least noisy, which of a real joint is where
-        the bench happens to be best.
+        Unit in which each used sample counts, in the channel's unit, (N,). All shown pieces share
+        one, and so do the others: the noise at its strongest frequency, and more where the residual
+        is larger than on average. Then p'Σp ≤ s² p'p for every prediction p, and no evidence is
+        overstated. Whitened, or each with its own noise, recordings would be fitted where their
+        noise is smallest: on a real joint, where the bench happens to be best.
     posterior
-        Over sets of candidates.
+        Posterior over sets of candidates.
     """
 
     def __init__(self, model: AffineModel, noises: Sequence[ResidualNoise] | None = None) -> None:
@@ -497,31 +500,10 @@ class Inference:
         pieces = [piece for piece in rows.pieces if piece.use == "used"]
         lengths = [piece.kept(piece.time_s).size for piece in pieces]
         self._ends = np.cumsum(lengths)[:-1]
-        terms: list[Term] = []
-        for candidate in model.candidates:
-            for look in candidate.looks:
-                block = model.columns(candidate, look)[used]
-                parts = np.split(block, self._ends)
-                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in parts], axis=0))
-                if not size.any():
-                    continue  # these recordings do not show it
-                usual = candidate.usual * self._level / np.where(size > 0.0, size, 1.0)
-                unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
-                terms.append(
-                    Term(
-                        candidate.label,
-                        block * unit,
-                        candidate.not_negative and unit.size == 1,
-                        prior_weight=look.weight,
-                        excludes=candidate.excludes,
-                        requires=candidate.requires,
-                        unit=unit,
-                        source=(candidate, look),
-                    )
-                )
-        every = [np.zeros((rows.measured.size, 0)), *(d.columns for d in model.discrepancies)]
-        self._discrepancy = np.hstack(every)[used]
-        ends = np.cumsum([columns.shape[1] for columns in every]).tolist()
+        terms = list(self._terms())
+        discrepancies = [d.columns for d in model.discrepancies]
+        self._discrepancy = np.hstack([np.zeros((rows.measured.size, 0)), *discrepancies])[used]
+        ends = np.cumsum([0, *(columns.shape[1] for columns in discrepancies)]).tolist()
         self.groups = [slice(*pair) for pair in pairwise(ends)]
         noises = noises or model.noises
         if noises is None:
@@ -530,31 +512,53 @@ class Inference:
         shown = [piece.shown for piece in pieces]
         pairs = list(zip(self.noises, shown, strict=True))
         strongest = {
-            alike: max(self._rounding, *(noise.strongest for noise, s in pairs if s == alike))
-            for alike in set(shown)
+            kind: max(self._rounding, *(noise.strongest for noise, s in pairs if s == kind))
+            for kind in set(shown)
         }
         self._shown_size = strongest[True]
-        even = np.repeat([strongest[alike] for alike in shown], lengths)
+        even = np.repeat([strongest[kind] for kind in shown], lengths)
         self.sizes = np.maximum(np.concatenate([noise.local for noise in self.noises]), even)
         self._burst = self.sizes / even
         self._search(terms)
 
+    def _terms(self) -> Iterator[Term]:
+        """A term for each form of a candidate that the recordings show, in the channel's unit."""
+        for candidate in self.model.candidates:
+            for look in candidate.looks:
+                block = self.model.columns(candidate, look)[self.model.rows.used]
+                parts = np.split(block, self._ends)
+                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in parts], axis=0))
+                if not size.any():
+                    continue
+                usual = candidate.usual * self._level / np.where(size > 0.0, size, 1.0)
+                unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
+                yield Term(
+                    candidate.label,
+                    block * unit,
+                    candidate.not_negative and unit.size == 1,
+                    prior_weight=look.weight,
+                    excludes=candidate.excludes,
+                    requires=candidate.requires,
+                    unit=unit,
+                    source=(candidate, look),
+                )
+
     @cached_property
     def _rounding(self) -> float:
-        """Noise that is always there."""
+        """Smallest noise."""
         model, shown = self.model, self.model.rows.shown
         residual = (model.rows.measured - model.base)[shown]
         return ROUNDING * (math.sqrt(float(np.mean(residual**2))) or 1.0)
 
     @cached_property
     def _level(self) -> float:
-        """Root mean square of what the shown pieces show beside the nuisances."""
+        """Root mean square of the shown pieces, without base and nuisances."""
         model = self.model
         residual = model.rows.measured - model.base - model.jacobian @ model.by_nuisances
         return max(math.sqrt(float(np.mean(residual[model.rows.shown] ** 2))), self._rounding)
 
     def _noise_beside_everything(self, blocks: list[FloatArray]) -> list[ResidualNoise]:
-        """From what all candidates and the discrepancy together leave, by ridge regression."""
+        """Noise of each used piece: the residual of a ridge regression on everything."""
         level = self._level
         n, h, target = self._nuisances, self._discrepancy, self._target
         scale = np.sqrt((n**2).mean(axis=0))
@@ -562,74 +566,83 @@ class Inference:
         h = h * (0.3 * level / rms if rms > 0.0 else 0.0)
         matrix = np.hstack([n / np.where(scale > 0.0, scale, 1.0), *blocks, h])
         gram, right = matrix.T @ matrix, matrix.T @ target
-        free = np.concatenate([np.full(n.shape[1], 1e-12), np.ones(matrix.shape[1] - n.shape[1])])
+        ridge = np.concatenate([np.full(n.shape[1], 1e-12), np.ones(matrix.shape[1] - n.shape[1])])
         variance = (0.1 * level) ** 2
         for _ in range(_RIDGE_ROUNDS):
-            inverse = np.linalg.pinv(gram + np.diag(variance * free), 1e-13, True)
+            inverse = np.linalg.pinv(gram + np.diag(variance * ridge), 1e-13, True)
             residual = target - matrix @ (inverse @ right)
             freedom = max(target.size - float(np.sum(inverse * gram)), 0.1 * target.size)
             variance = float(residual @ residual) / freedom
         return [ResidualNoise.of(part) for part in np.split(residual, self._ends)]
 
     def _search(self, terms: list[Term]) -> None:
-        def counted(rows: FloatArray) -> FloatArray:
+        def scaled(rows: FloatArray) -> FloatArray:
             return np.asarray((rows.T / self.sizes).T)
 
-        jacobian, discrepancy = counted(self._nuisances), counted(self._discrepancy)
-        residual, d = counted(self._target), jacobian.shape[1]
-        one_more = EXPECTED_HYPOTHESES / max(1, len({term.hypothesis for term in terms}))
+        model = self.model
+        hypotheses = len({term.hypothesis for term in terms})
+        another = EXPECTED_HYPOTHESES / max(1, hypotheses)
         for k, term in enumerate(terms):
-            weight = term.prior_weight * (one_more if term.source[0].holds_another else 1.0)
-            terms[k] = replace(term, columns=counted(term.columns), prior_weight=weight)
-        kinds = [d.kind for d in self.model.discrepancies]
+            candidate, _ = term.source
+            # A law that contains another one is that law plus a departure: two hypotheses.
+            is_double = candidate.kind == "effect" and candidate.excludes
+            weight = term.prior_weight * (another if is_double else 1.0)
+            terms[k] = replace(term, columns=scaled(term.columns), prior_weight=weight)
         usual = DISCREPANCY_SHARE * self._level / self._shown_size
-        groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
-        sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.names]
-        prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
+        groups = [
+            DiscrepancyGroup(d.kind, columns, usual)
+            for d, columns in zip(model.discrepancies, self.groups, strict=True)
+        ]
+        sds = np.array([model.nuisance_sds.get(n, math.inf) for n in model.names], dtype=float)
         linearised = Linearised(
-            residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups, self.model.bands
+            scaled(self._target),
+            scaled(self._nuisances),
+            np.diag(sds**-2.0),
+            np.zeros(sds.size),
+            terms,
+            scaled(self._discrepancy),
+            groups,
+            model.bands,
         )
-        own = {c.label: c.probability for c in self.model.candidates if c.probability is not None}
-        self.posterior = search(linearised, self.model.most_terms, own)
+        priors = {c.label: c.probability for c in model.candidates if c.probability is not None}
+        self.posterior = search(linearised, model.most_terms, priors)
 
     @cached_property
     def draws(self) -> Draws:
-        """Of the posterior."""
+        """Draws of the posterior."""
         return self.posterior.draw(np.random.default_rng(0), DRAWS)
-
-    # What is asked of it
 
     @property
     def terms(self) -> Sequence[Term]:
-        """Each of one look of a candidate: these two are its source."""
+        """Terms of the posterior; the source of each is (candidate, look)."""
         return self.posterior.linearised.terms
 
     @cached_property
     def labels(self) -> Mapping[str, Candidate]:
-        """Candidates that show."""
+        """Candidates that the recordings show, by label."""
         return {term.hypothesis: term.source[0] for term in self.terms}
 
     @cached_property
     def sure(self) -> tuple[tuple[str, ...], ...]:
-        """Candidates that are there almost surely, alone or one of several, in catalogue order."""
+        """Named candidates and confounded groups; the members in the catalogue's order."""
         sure = self.posterior.sure
         return tuple(tuple(n for n in self.labels if n in members) for members in sure)
 
     def lookalikes(self, label: str) -> list[str]:
-        """Candidates that differ from one by nothing in these recordings but nuisances."""
+        """Candidates whose signals differ from those of one only by nuisances."""
         view = self.posterior.linearised
         terms = [term for term in view.terms if term.columns.shape[1] == 1]
         scale = np.maximum(np.abs(view.jacobian).max(axis=0), _TINY)
         basis, _ = np.linalg.qr(view.jacobian / scale)
         columns = np.hstack([np.zeros((len(basis), 0)), *(term.columns for term in terms)])
-        apart = columns - basis @ (basis.T @ columns)
-        apart /= np.maximum(np.linalg.norm(apart, axis=0), _TINY)
-        own = np.array([term.hypothesis == label for term in terms], dtype=bool)
-        alike = np.any(np.abs(apart[:, own].T @ apart) > COLLINEAR, axis=0) & ~own
+        rest = columns - basis @ (basis.T @ columns)
+        rest /= np.maximum(np.linalg.norm(rest, axis=0), _TINY)
+        is_label = np.array([term.hypothesis == label for term in terms], dtype=bool)
+        alike = np.any(np.abs(rest[:, is_label].T @ rest) > COLLINEAR, axis=0) & ~is_label
         return [terms[k].hypothesis for k in np.flatnonzero(alike)]
 
     def values(self, label: str) -> dict[str, Estimate]:
-        """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
+        """Linear parameters and shapes of a candidate, averaged over the models that have it."""
         candidate = self.labels[label]
         parts: dict[str, list[tuple[FloatArray, FloatArray, FloatArray]]] = {}
         for k, term in enumerate(self.terms):
@@ -638,15 +651,16 @@ class Inference:
             weight, mean, covariance = self.posterior.sizes[k]
             mean = mean * term.unit
             covariance = covariance * np.outer(term.unit, term.unit)
-            own: dict[str, tuple[FloatArray, FloatArray]] = {}
             if candidate.is_wave:
-                own = _of_waves(candidate, mean, covariance)
+                values = _of_waves(candidate, mean, covariance)
             else:
-                for at, name in enumerate(candidate.parameters):
-                    own[name] = (mean[:, at], covariance[:, at, at])
+                values = {
+                    name: (mean[:, at], covariance[:, at, at])
+                    for at, name in enumerate(candidate.parameters)
+                }
             for name, shape in term.source[1].shapes.items():
-                own[name] = (np.full(weight.size, shape), np.zeros(weight.size))
-            for name, (value, variance) in own.items():
+                values[name] = (np.full(weight.size, shape), np.zeros(weight.size))
+            for name, (value, variance) in values.items():
                 parts.setdefault(name, []).append((weight, value, variance))
         estimates = {}
         for name, pieces in parts.items():
@@ -660,14 +674,20 @@ class Inference:
             estimates[name] = Estimate(middle, math.sqrt(spread))
         return estimates
 
-    def nuisance(self, name: str) -> Estimate:
-        """A nuisance by name."""
-        draws = self.draws.fitted[:, self.model.names.index(name)]
+    def change(self, name: str) -> Estimate:
+        """Change of a parameter: the sum of its nuisance and its candidate, if it has them."""
+        draws = np.zeros(DRAWS)
+        if name in self.model.names:
+            draws = draws + self.draws.fitted[:, self.model.names.index(name)]
+        ends = np.cumsum([term.columns.shape[1] for term in self.terms]).tolist()
+        for term, end in zip(self.terms, ends, strict=True):
+            if term.hypothesis == name:
+                draws = draws + self.draws.sizes[:, end - 1] * float(np.ravel(term.unit)[0])
         return Estimate(float(draws.mean()), float(draws.std()))
 
     @property
     def average(self) -> Coefficients:
-        """Of everything, over the posterior."""
+        """Posterior mean of everything."""
         return Coefficients(
             self.draws.fitted.mean(axis=0),
             {
@@ -681,11 +701,11 @@ class Inference:
         )
 
     def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
-        """Of what is named, as it fits best with what is learned and nothing else.
+        """Least-squares fit of some candidates and discrepancy groups, and nothing else.
 
-        What no name holds is told apart from the names only if the names take all they can: the
-        discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
-        count alike: where a bench is worst is a part of what it has to predict.
+        Names and discrepancy are separable only if the names take all that they can: the
+        discrepancy is the remainder, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
+        count alike, because the bench also has to predict where it is worst.
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
@@ -693,22 +713,22 @@ class Inference:
         learned = [view.discrepancy[:, self.groups[g]] for g in groups]
         blocks = [view.jacobian, *(term.columns for term in terms), *learned]
         widths = [block.shape[1] for block in blocks]
-        signs = [0.0 if term.positive else -free for term in terms]
-        anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
-        known = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
-        sds = np.concatenate([anyway, np.repeat(known, widths[1:])])
+        lowest = [-free, *(0.0 if t.positive else -free for t in terms), *(-free for _ in groups)]
+        nuisance_sds = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
+        block_sds = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
+        sds = np.concatenate([nuisance_sds, np.repeat(block_sds, widths[1:])])
         prior = np.diag(1.0 / np.maximum(sds, 1e-300))[np.isfinite(sds)]
         values = bounded_least_squares(
             np.vstack([(np.hstack(blocks).T * self._burst).T, prior]),
             np.concatenate([view.residual * self._burst, np.zeros(len(prior))]),
-            np.repeat([-free, *signs, *(-free for _ in groups)], widths),
+            np.repeat(lowest, widths),
         )
         nuisances, *parts = np.split(values, np.cumsum(widths)[:-1])
         sizes = {k: part * self.terms[k].unit for k, part in zip(chosen, parts, strict=False)}
         return Coefficients(nuisances, sizes, dict(zip(groups, parts[len(chosen) :], strict=True)))
 
     def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
-        """Linear parameters of a candidate."""
+        """Linear parameters of a candidate in a projection."""
         candidate = self.labels[label]
         size = fitted.sizes[self.posterior.likeliest(label)]
         if not candidate.is_wave:
@@ -717,13 +737,16 @@ class Inference:
         return {name: float(value[0]) for name, (value, _) in waves.items()}
 
     def is_none(self, fitted: Coefficients, label: str) -> bool:
-        """Whether a candidate whose sign is known would rather have the other one."""
-        place = self.posterior.likeliest(label)
-        term = self.terms[place]
-        return term.positive and bool(fitted.sizes[place] <= NONE * term.unit)
+        """Whether a projection leaves nothing of a candidate whose sign is known."""
+        index = self.posterior.likeliest(label)
+        term = self.terms[index]
+        return term.positive and bool(fitted.sizes[index] <= NONE * term.unit)
 
     def predicted(self, coefficients: Coefficients) -> FloatArray:
-        """Of every row, (N,); what belongs to a held-out recording alone is fitted on it."""
+        """Prediction of every row, (N,).
+
+        Nuisances and phases that belong to a held-out recording are fitted to it.
+        """
         model, rows = self.model, self.model.rows
         total = model.base + model.jacobian @ coefficients.nuisances
         waves: list[tuple[float, FloatArray]] = []
@@ -750,14 +773,14 @@ class Inference:
         return np.asarray(total)
 
     def discrepancy(self) -> FloatArray:
-        """Of every row what nothing explains, averaged, (N,)."""
+        """Posterior mean of the discrepancy, (N,)."""
         total = np.zeros(self.model.base.size)
         for g, size in self.average.discrepancy.items():
             total += self.model.discrepancies[g].columns @ size
         return total
 
     def residual_noise(self) -> Sequence[ResidualNoise]:
-        """Of what the average over the posterior leaves of every used piece, unless it is known."""
+        """Noise of each used piece, from the residual of the posterior mean, if it is not known."""
         if self.model.noises is not None:
             return self.model.noises
         rows = self.model.rows
@@ -769,34 +792,41 @@ class Inference:
         ]
 
     def probability(self, names: Sequence[str]) -> float:
-        """That one of some candidates is there, by their labels or their effects' names."""
-        own = set(names)
-        return self.posterior.probability(n for n, c in self.labels.items() if {n, c.name} & own)
+        """Probability that one of some candidates holds, by their labels or effects."""
+        wanted = set(names)
+        labels = (label for label, c in self.labels.items() if {label, c.name} & wanted)
+        return self.posterior.probability(labels)
+
+    def power(self, label: str) -> float:
+        """χ² of the mean signal of a candidate."""
+        signal = np.zeros(self.posterior.linearised.residual.size)
+        for k, term in enumerate(self.terms):
+            if term.hypothesis == label and k in self.posterior.sizes:
+                weight, mean, _ = self.posterior.sizes[k]
+                signal += term.columns @ (weight @ mean)
+        return float(signal @ signal)
 
 
 def _of_waves(
     candidate: Candidate, mean: FloatArray, covariance: FloatArray
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Amplitude, over all pairs of sine and cosine, and phase, if there is one, with variances."""
+    """Mean amplitude of all pairs of sine and cosine, and a common phase, with variances, (m,)."""
     pairs = mean.reshape(len(mean), -1, 2)
     size = np.maximum(np.hypot(pairs[..., 0], pairs[..., 1]), _TINY)
     along = (pairs / size[..., None] / size.shape[1]).reshape(mean.shape)
     variance = np.einsum("mi,mij,mj->m", along, covariance, along)
-    made = {candidate.parameters[0]: (size.mean(axis=1), variance)}
+    values = {candidate.parameters[0]: (size.mean(axis=1), variance)}
     if not candidate.own_phase:
         across = np.stack([-pairs[:, 0, 1], pairs[:, 0, 0]], axis=1) / size**2
         variance = np.einsum("mi,mij,mj->m", across, covariance, across)
-        made[PHASE] = (np.arctan2(pairs[:, 0, 1], pairs[:, 0, 0]), variance)
-    return made
+        values[PHASE] = (np.arctan2(pairs[:, 0, 1], pairs[:, 0, 0]), variance)
+    return values
 
 
 def inferred(
     view: AnyView, progress: StageProgress | None = None, rounds: int = ROUNDS
 ) -> tuple[AnyView, Inference]:
-    """A view around its best fit, and the posterior there.
-
-    ``rounds``: of inference, each but the first around the fit that the last one gives.
-    """
+    """Refine a view in some rounds, each at the fit of the previous inference."""
     inference = Inference(view.model)
     for done in range(1, rounds):
         if progress is not None:
@@ -816,31 +846,23 @@ def diagnose(
     scale_sd: float = 0.0,
     progress: StageProgress | None = None,
 ) -> Diagnosis:
-    """Name what is missing; the disagreement before and after.
+    """Name what is missing, with the disagreement before and after.
 
-    Parameters
-    ----------
-    view
-        Not yet prepared.
-    bench
-        The one believed, for the tolerances of parameters that were fitted.
-    most
-        Effects named at most, the strongest.
-    scale_sd
-        Relative standard deviation of a factor that all torques and inertias have in common.
+    ``view``: not yet prepared; ``bench``: the bench as believed, with tolerances of fitted
+    parameters; ``most``: largest number of effects to name, the strongest; ``scale_sd``: relative
+    standard deviation of a common factor of all torques and inertias.
     """
     view, inference = inferred(view.prepared(), progress)
-    named_sets, remaining = _named(view, inference, most)
+    named, remaining = _named(view, inference, most)
     group = _learned_group(inference)
-    view, at = view.settled([label for label, _ in named_sets]), inference
+    view, at = view.settled([label for label, _ in named]), inference
     if view.model is not inference.model:
         at = Inference(view.model, inference.noises)
-    named_sets, fitted = _fitted(at, named_sets, [] if group is None else [group])
-    labels = [label for label, _ in named_sets]
+    named, fitted = _fitted(at, named, [] if group is None else [group])
     learned = None if group is None else learned_answer(at, fitted, group)
-    kinds = {label: inference.labels[label].kind for label in labels}
+    kinds = {label: inference.labels[label].kind for label, _ in named}
     estimates = {
-        name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
+        name: Estimate(bench.value(name) + value, inference.change(name).sd)
         for name, value in zip(at.model.names, fitted.nuisances, strict=True)
         if name in PARAMETER_INFO
     }
@@ -855,18 +877,18 @@ def diagnose(
         remaining = []
     pieces = compared_pieces(at.model.rows, before, after)
     disagreement = disagreement_table(pieces)["over_all"]["used"]
-    # Otherwise it would be an accident of a fit that is far from what was recorded.
+    # A fit that stays far from the recordings names effects by accident.
     least = max(CLOSED * disagreement["before"], EXCESS * disagreement["noise_floor"])
     if denied or disagreement["after"] >= least:
-        named_sets, estimates, learned = [], {}, None
+        named, estimates, learned = [], {}, None
         pieces = compared_pieces(at.model.rows, before, before)
         disagreement = disagreement_table(pieces)["over_all"]["used"]
-    named = [(label, alike) for label, alike in named_sets if kinds[label] == "effect"]
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
     effects = [
         _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
         for label, alike in named
+        if kinds[label] == "effect"
     ]
     errors = tuple(parameter_errors(bench, estimates))
     lines = tuple(_line(inference, *item) for item in remaining)
@@ -897,7 +919,7 @@ def diagnose(
 
 
 def _gravity_notes(inference: Inference) -> Iterator[str]:
-    """Of gravity that the bench lacks."""
+    """A note if gravity is found that the bench lacks."""
     if "gravity" in inference.posterior.named:
         ((name, size),) = inference.values("gravity").items()
         yield (
@@ -911,14 +933,14 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
 def _named(
     view: View, inference: Inference, most: int
 ) -> tuple[list[tuple[str, tuple[str, ...]]], list[tuple[str, What]]]:
-    """Labels that are named, each with what it is confounded with; lines that remain."""
+    """Labels to name, each with the names it is confounded with; and lines that remain."""
     labels = inference.labels
     named: list[tuple[str, tuple[str, ...]]] = []
     remaining: list[tuple[str, What]] = []
     waves: list[str] = []
     for members in inference.sure:
         in_time = [m for m in members if labels[m].kind == "line"]
-        ripple = [m for m in members if labels[m].kind == "effect" and ORDER in _shapes(labels[m])]
+        ripple = [m for m in members if labels[m].kind == "effect" and ORDER in labels[m].shapes]
         if in_time:
             remaining.append((ripple[0], "angle or time") if ripple else (in_time[0], "time"))
         elif ripple and len(ripple) == len(members):
@@ -927,18 +949,18 @@ def _named(
             first, *others = members
             names = dict.fromkeys(labels[m].name for m in (*others, *inference.lookalikes(first)))
             named.append((first, tuple(n for n in names if n != labels[first].name)))
-    waves.sort(key=lambda m: -_share(inference, m))
+    waves.sort(key=lambda m: -inference.power(m))
     named += [(m, ()) for m in waves[:1]]
     remaining += [(m, "motor angle") for m in waves[1:]]
-    named.sort(key=lambda pair: -_share(inference, pair[0]))
-    effects = [p for p in named if labels[p[0]].kind == "effect"][most:]
-    return [p for p in named if p not in effects], remaining
+    named.sort(key=lambda pair: -inference.power(pair[0]))
+    too_many = [p for p in named if labels[p[0]].kind == "effect"][most:]
+    return [p for p in named if p not in too_many], remaining
 
 
 def _fitted(
     inference: Inference, named: list[tuple[str, tuple[str, ...]]], groups: Sequence[int]
 ) -> tuple[list[tuple[str, tuple[str, ...]]], Coefficients]:
-    """What is told, as it fits best; without what is none then, and what requires that."""
+    """Projection on what is named, without names that vanish there or require one that does."""
     while True:
         fitted = inference.projection([label for label, _ in named], groups)
         none = {label for label, _ in named if inference.is_none(fitted, label)}
@@ -948,34 +970,18 @@ def _fitted(
         named = [pair for pair in named if pair[0] not in none]
 
 
-def _shapes(candidate: Candidate) -> Mapping[str, float]:
-    return candidate.looks[0].shapes
-
-
-def _share(inference: Inference, label: str) -> float:
-    """χ² of what a candidate makes, averaged."""
-    linearised = inference.posterior.linearised
-    total = np.zeros(linearised.residual.size)
-    sizes = inference.posterior.sizes
-    for k, term in enumerate(linearised.terms):
-        if term.hypothesis == label and k in sizes:
-            total += term.columns @ (sizes[k][0] @ sizes[k][1])
-    return float(total @ total)
-
-
 def _learned_group(inference: Inference) -> int | None:
-    """The group of the discrepancy that is told: there almost surely, and its mean no small share
-    of the disagreement at the nominal fit."""
-    posterior, sure = inference.posterior, dict[int, float]()
+    """The discrepancy group to report: almost certain, with a fair share of the excess χ²."""
+    posterior, shares = inference.posterior, dict[int, float]()
     for group, columns in enumerate(inference.groups):
-        there = (m.log_posterior for m in posterior.models if m.scales[group] > 0.0)
-        if sum(map(math.exp, there)) >= NAMED_AT:
+        present = (m.log_posterior for m in posterior.models if m.scales[group] > 0.0)
+        if sum(map(math.exp, present)) >= NAMED_AT:
             mean = inference.draws.discrepancy[:, columns].mean(axis=0)
             signal = posterior.linearised.discrepancy[:, columns] @ mean
             share = float(signal @ signal) / max(posterior.excess_chi_square, 1.0)
             if share > LEARNED_SHARE:
-                sure[group] = share
-    return max(sure, key=lambda group: sure[group], default=None)
+                shares[group] = share
+    return max(shares, key=lambda group: shares[group], default=None)
 
 
 def _effect(
@@ -990,15 +996,15 @@ def _effect(
     for name, value in fitted.items():
         parameters[name] = Estimate(value, parameters[name].sd)
     size = parameters[candidate.parameters[0]]
-    sure = inference.probability((label, *alike))
+    probability = inference.probability((label, *alike))
     z = abs(size.value) / max(size.sd, _TINY)
     units = {p.name: p.unit for p in effect_named(candidate.name).parameters}
     parameters = with_shared_scale(parameters, units, scale_sd)
-    return NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
+    return NamedEffect(candidate.name, parameters, probability, z, (*candidate.same_as, *alike))
 
 
 def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
-    """A wave that is told and not named."""
+    """A wave that is reported but not named."""
     candidate = inference.labels[label]
     values = inference.values(label)
     order = values[ORDER].value if ORDER in values and dependence != "time" else math.nan
@@ -1006,9 +1012,9 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
     rows = inference.model.rows
     channel = rows.pieces[0].channel
     if dependence == "angle or time":
-        rival = [m for m in inference.labels if inference.labels[m].kind == "line"]
-        best = max(rival, key=lambda m: inference.posterior.inclusion[m])
-        hertz = _shapes(inference.labels[best])["frequency_hz"]
+        lines = [m for m, c in inference.labels.items() if c.kind == "line"]
+        best = max(lines, key=lambda m: inference.posterior.inclusion[m])
+        hertz = inference.labels[best].shapes["frequency_hz"]
     return Unexplained(
         channel,
         dependence,
@@ -1018,12 +1024,12 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
         order,
         hertz if dependence != "motor angle" else math.nan,
         rows.recordings,
-        _share(inference, label),
+        inference.power(label),
     )
 
 
 def compared_pieces(rows: Rows, before: FloatArray, after: FloatArray) -> tuple[ComparedPiece, ...]:
-    """The shown pieces beside their predictions without and with what was named, each (N,)."""
+    """The shown pieces with their predictions before and after naming, (N,) each."""
     return tuple(
         ComparedPiece.of(
             piece.name,
@@ -1039,7 +1045,7 @@ def compared_pieces(rows: Rows, before: FloatArray, after: FloatArray) -> tuple[
 
 
 def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> LearnedAnswer | None:
-    """A group of the discrepancy as a torque over its variable; ``None`` where it is none."""
+    """A discrepancy group as a torque over its variable; ``None`` if it is no torque."""
     series = inference.model.discrepancies[group].series
     if series is None:
         return None

@@ -1,4 +1,4 @@
-"""What a method of diagnosis is given, what all of them ask of it, and what each makes of it."""
+"""Task and comparison of a method of diagnosis, and checks that all methods share."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from bayesbl.recording.repairs import even
 from bayesbl.recording.types import BoolArray, Recording
 
 MOST_EXCLUDED = 0.5
-"""Largest share of a piece that may be left out: what remains should still be a recording."""
+"""Largest share of samples that may be excluded."""
 
 UNEVEN = 1e-3
-"""Departure of a time stamp from the even grid, in periods, up to which it is even."""
+"""Largest deviation of a time stamp from an even grid, in periods."""
 
 INERTIAS = ("motor_inertia_kg_m2", "load_inertia_kg_m2")
 GRAVITY = "gravity_torque_nm"
@@ -30,12 +30,12 @@ GRAVITY = "gravity_torque_nm"
 USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
     {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
 )
-"""How an entry of ``[[recordings]]`` is used: whole, or in two parts."""
+"""Uses of an entry of ``[[recordings]]``: of the whole, or of two parts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """The configuration, the bench it names, and a recording for each of its entries."""
+    """A configuration, its bench, and a recording for each of its entries."""
 
     config: DiagnoseConfig
     bench: Bench
@@ -44,7 +44,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A task that suits a method: what would be compared in words, and how the answer is made."""
+    """What a method would compare, in words, and the function that does it."""
 
     in_words: str
     diagnose: Callable[[StageProgress | None], Diagnosis]
@@ -57,16 +57,10 @@ def by_search(
     notes: Sequence[str],
     scale_sd: float = 0.0,
 ) -> Comparison:
-    """By the model search around a view of a rigid bench.
+    """Comparison by the model search, with a view of a rigid bench.
 
-    Parameters
-    ----------
-    candidates
-        Effects that may be named.
-    notes
-        What these recordings cannot show.
-    scale_sd
-        Relative standard deviation of a factor that all torques have in common.
+    ``candidates``: effects that may be named; ``notes``: what these recordings cannot show;
+    ``scale_sd``: relative standard deviation of a common factor of all torques.
     """
     method, channel = task.config.comparison.method, view.rows.pieces[0].channel
     most = task.config.candidates.max_effects or MOST_EFFECTS
@@ -79,7 +73,7 @@ def by_search(
 
 
 def require_rigid(task: Task) -> None:
-    """Refuse a bench that is not rigid, and a gap in one that is."""
+    """Refuse a bench that is not rigid, and the gap of a rigid one."""
     if task.bench.drive != "rigid":
         raise ConfigError(
             "This method compares a rigid bench: one inertia, no gap.",
@@ -97,7 +91,7 @@ def require_rigid(task: Task) -> None:
 
 
 def require_no_known_torque(task: Task, why: str) -> None:
-    """Refuse torques known from outside."""
+    """Refuse known torques; ``why`` is the reason."""
     if task.config.comparison.known_torque:
         names = ", ".join(task.config.comparison.known_torque)
         raise ConfigError(
@@ -109,7 +103,7 @@ def require_no_known_torque(task: Task, why: str) -> None:
 
 
 def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> str:
-    """The one channel that is compared; ``without_any`` says why none of them is not enough."""
+    """The channel that is compared; ``without_any``: the error message if there is none."""
     asked = task.config.comparison.channels
     if not asked:
         everywhere = [c for c in possible if all(c in r.channels for r in task.recordings)]
@@ -135,19 +129,19 @@ def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> s
 
 
 def even_recordings(task: Task, whole: Sequence[str]) -> list[Recording]:
-    """Recordings on an even grid; the peaks of the channels ``whole`` must not be cut off."""
+    """Recordings on an even grid; channels in ``whole`` must not be clipped."""
     return [even(unclipped(recording, whole), UNEVEN) for recording in task.recordings]
 
 
 def piece_of(recording: Recording, channel: str) -> Piece:
-    """A recording as it is compared."""
+    """A whole recording as a piece."""
     require_enough(recording, channel, recording.excluded)
     values = recording.channels[channel]
     return Piece(recording.name, channel, "used", recording.time_s, values, recording.excluded)
 
 
 def require_enough(recording: Recording, channel: str, excluded: BoolArray | None) -> None:
-    """Refuse a recording of which most samples are lost or strays."""
+    """Refuse a recording with too many excluded samples."""
     if excluded is not None and excluded.mean() > MOST_EXCLUDED:
         raise RecordingError(
             "Too little remains to compare beside lost and stray samples.",
@@ -161,42 +155,41 @@ def require_enough(recording: Recording, channel: str, excluded: BoolArray | Non
 
 
 def parts_of(uses: Sequence[Use], middle: int) -> list[tuple[Use, slice]]:
-    """The samples of each use: all, or those before a middle and those from there on."""
+    """The samples of each use: all, or those before and after a middle."""
     rows = [slice(None)] if len(uses) == 1 else [slice(None, middle), slice(middle, None)]
     return list(zip(uses, rows, strict=True))
 
 
 def unclipped(recording: Recording, channels: Sequence[str]) -> Recording:
-    """The recording; raises ``RecordingError`` where the peaks of a channel are cut off."""
+    """The recording; raises ``RecordingError`` if a channel is clipped."""
     for channel in channels:
         require_unclipped(recording, channel)
     return recording
 
 
 def notes_of(recordings: Sequence[Recording]) -> list[str]:
-    """What was done to each recording, under its name."""
+    """Notes on repairs of each recording, with its name."""
     return [f"{recording.name}: {note}" for recording in recordings for note in recording.notes]
 
 
 def wanted(
     config: DiagnoseConfig, bench: Bench, laws: Mapping[str, RigidLaw | None]
 ) -> tuple[str, ...]:
-    """Effects that were asked for and that the bench does not have already.
+    """Requested effects that the bench does not have.
 
-    A name that means the same law here finds an effect too. ``laws``: of those that may be missing;
-    ``None`` where the comparison has one of its own.
+    An effect may be requested by any name with the same law. ``laws``: laws of the effects that the
+    comparison can show; ``None`` for its own.
     """
-    had = {effect.name for effect in bench.effects}
-    meaning = {
+    present = {effect.name for effect in bench.effects}
+    synonyms = {
         name: {name} if law is None else {name, *law.same_as}
         for name, law in laws.items()
-        if name not in had and (law is None or not {*law.same_as, law.contains} & had)
+        if name not in present and (law is None or not {*law.same_as, law.contains} & present)
     }
     asked = config.candidates.effects
     if asked == "all":
-        return tuple(meaning)
-    quantities = tuple(name for name, names in meaning.items() if names & set(asked))
-    known = set().union(*meaning.values())
+        return tuple(synonyms)
+    known = set().union(*synonyms.values())
     for name in asked:
         if name not in known:
             raise ConfigError(
@@ -205,11 +198,11 @@ def wanted(
                 found=name,
                 expected="one of " + ", ".join(sorted(known)),
             )
-    return quantities
+    return tuple(name for name, names in synonyms.items() if names & set(asked))
 
 
 def unknown_parameters(task: Task) -> tuple[str, ...]:
-    """Declared unknown bench parameters, refused where they cannot be fitted."""
+    """Bench parameters declared unknown; refuses those that cannot be fitted."""
     names = task.config.unknowns.bench_parameters
     for name in names:
         if name not in (*INERTIAS, GRAVITY):
@@ -237,7 +230,7 @@ def unknown_parameters(task: Task) -> tuple[str, ...]:
 
 
 def believed_sds(bench: Bench, names: Sequence[str]) -> dict[str, float]:
-    """Of parameters that are fitted: as far as the tolerance, or as far as nothing."""
+    """Prior standard deviations of fitted parameters: the tolerance, but at least the value."""
     return {
         name: max(bench.tolerances.get(name, 0.0), abs(bench.value(name)))
         for name in names

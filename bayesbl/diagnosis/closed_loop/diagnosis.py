@@ -1,9 +1,9 @@
-"""The two-mass bench in its closed loop against speed and current: which effect it lacks.
+"""Closed-loop diagnosis of a two-mass bench from speed and current.
 
 Recordings are compared with their simulation (:mod:`bayesbl.matching.signals`), and
-:mod:`bayesbl.model_search` finds what is missing. :mod:`.learned_in_loop` learns what no name
-explains, :mod:`.prediction` writes what was found into the bench, simulates what was held out, and
-says what to record next.
+:mod:`bayesbl.model_search` finds what is missing. :mod:`.learned_in_loop` learns what no effect
+explains. :mod:`.prediction` adds the findings to the bench, simulates held-out recordings, and
+suggests the next one.
 """
 
 from __future__ import annotations
@@ -81,19 +81,19 @@ MOST_EFFECTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The search and what its simulations leave.
+    """Result of the search, and the residuals of its simulations.
 
     Attributes
     ----------
     chosen
-        The set of everything that is named, its noise estimated without what was missing; with what
-        was learned, if anything was, and with laws that nothing shows.
+        The set of all named hypotheses with its own noise, with anything learned and with laws that
+        are always in.
     pieces
-        Channels of recordings, those that were held out too, beside both simulations.
+        Channels of all recordings, also held-out ones, with both simulations.
     before, after
-        Without and with what is named.
+        Residuals without and with the named hypotheses.
     learned
-        What was learned from what naming left; ``chosen`` has it.
+        What was learned from the remaining residual; ``chosen`` includes it.
     """
 
     naming: Naming
@@ -105,18 +105,18 @@ class Findings:
 
     @property
     def believed(self) -> Bench:
-        """The bench as its file says."""
+        """The bench of the file."""
         return self.naming.nominal.fit.model.bench
 
     @property
     def final(self) -> Explanation:
-        """The fit of what is named."""
+        """The fit of the named hypotheses."""
         return self.chosen.explanation
 
     @property
     def whole(self) -> AveragedFit:
-        """The fit of what is named, with misfit, noise in the loop, laws that nothing shows, and
-        all other sets; no other of a learned torque."""
+        """The fit with everything to average over: misfit, noise in the loop, laws that are always
+        in, and all other sets, unless a torque was learned."""
         others = () if self.learned else self.naming.others
         nuisances = laws(self.final.fit.model.bench)
         return AveragedFit(linear_fit=self.chosen, others=others, nuisances=nuisances)
@@ -135,16 +135,16 @@ def search(
     workers: int = 1,
     progress: Progress = silent,
 ) -> Findings:
-    """Align, name what is missing, and analyse what it leaves.
+    """Align, name what is missing, and analyse the residual.
 
     Parameters
     ----------
     used, held_out
-        Recordings to fit on, and to predict.
+        Recordings to fit, and to predict.
     unknowns
-        Declared: a gap and a start angle of each recording, bench parameters.
+        Declared unknowns: gap and start angle of each recording, and bench parameters.
     effects, max_effects, load_angle_known, motor_angle_known
-        As ``[candidates]`` and ``[comparison]`` say.
+        As in ``[candidates]`` and ``[comparison]``.
 
     Raises
     ------
@@ -162,25 +162,21 @@ def search(
         motor_angle_known=motor_angle_known,
     )
     missing = partial(
-        name_missing,
-        candidates=catalogue,
-        max_effects=max_effects,
-        progress=progress,
+        name_missing, candidates=catalogue, max_effects=max_effects, progress=progress
     )
     naming, learned = missing(nominal), None
-    before = residuals_of(naming.nominal.fit)
     final = naming.final
-    after = residuals_of(final.fit)
+    before, after = residuals_of(naming.nominal.fit), residuals_of(final.fit)
     if naming.effects and after.remaining and after.closes(before) < 1.0 - UNEXPLAINED_SHARE:
-        # It helps a little, as a parameter may where a line in time remains: no explanation.
+        # A parameter may help a little although, for example, a line in time remains.
         nearest, final = naming.final, naming.nominal
         naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
         after = before
-    # What does not repeat with the load, a line of the motor or in time, is in no band.
+    # Lines of the motor or in time do not repeat with the load, so they are in no band.
     if naming.repeats or (after.remaining and not laws_of_shaft(naming.final)):
-        beside = _with_learned(naming, final, after, missing, motor_angle_known)
-        if beside is not None:
-            naming, learned = beside
+        extended = _with_learned(naming, final, after, missing, motor_angle_known)
+        if extended is not None:
+            naming, learned = extended
             final = learned.explanation
     return Findings(
         naming,
@@ -199,10 +195,10 @@ def _with_learned(
     missing: Callable[[SimulatedFit], Naming],
     motor_angle_known: bool,
 ) -> tuple[Naming, Learned] | None:
-    """What is learned from what is left, with the names that stand beside it.
+    """What is learned from the residual, and the naming with it; ``None`` if nothing is.
 
-    Where nothing explains, it is sought around the nearest explanation too: the gap of the nominal
-    bench may be too far off.
+    If no set explains the recordings, something is also sought at the nearest explanation, because
+    the gap of the nominal bench may be too far off.
     """
     around = [(final, after.remaining)]
     if naming.nearest is not None:
@@ -212,11 +208,11 @@ def _with_learned(
     if learned is None:
         return None
     if not naming.effects and not is_explained(learned.explanation.fit):
-        # Behind what was learned a law of the catalogue may have been hidden.
-        beside = missing(learned.explanation.fit)
-        if beside.effects:
-            learned = replace(learned, explanation=beside.final)
-            return replace(beside, nominal=naming.nominal), learned
+        # What is learned now may have hidden a law of the catalogue.
+        again = missing(learned.explanation.fit)
+        if again.effects:
+            learned = replace(learned, explanation=again.final)
+            return replace(again, nominal=naming.nominal), learned
     return replace(naming, final=learned.explanation), learned
 
 
@@ -226,22 +222,16 @@ def diagnosis_of(
     notes: Sequence[str] = (),
     level: float = 0.9,
 ) -> Diagnosis:
-    """The answer.
+    """Make the result from the findings.
 
-    Parameters
-    ----------
-    posterior
-        Around ``found.final``. Where there is none or it is withheld, estimates are those of the
-        normal approximation.
-    level
-        Of the intervals.
+    ``posterior``: at ``findings.final``; without one, or if it is withheld, estimates come from the
+    normal approximation. ``level``: of the credible intervals.
     """
     naming, final = findings.naming, findings.final
     kinds = {candidate.kind for candidate in final.candidates}
     withheld = _why_no_gap(findings, posterior, level)
-    sampled = posterior
-    if posterior is not None and posterior.diagnostics.outcome == "withheld":
-        sampled = None
+    is_sampled = posterior is not None and posterior.diagnostics.outcome != "withheld"
+    sampled = posterior if is_sampled else None
     gaps, doubts = dict[str, Estimate](), list[str]()
     if not withheld:
         seed = np.random.SeedSequence(0)
@@ -299,9 +289,9 @@ def diagnosis_of(
 def estimates(
     explanation: Explanation, name: str, posterior: DirectPosterior | None = None
 ) -> dict[str, Estimate]:
-    """Fitted values of one named effect or parameter, with what its bench entry holds fixed.
+    """Values of one named effect or parameter, fitted or fixed by its entry in the bench.
 
-    A phase that every recording has of its own has the recording's name behind it.
+    The phase of a single recording has the recording's name in parentheses.
     """
     by_name: dict[str, Estimate] = {}
     for effect in explanation.fit.model.bench.effects:
@@ -319,7 +309,7 @@ def estimates(
 
 
 def _estimate(explanation: Explanation, i: int, posterior: DirectPosterior | None) -> Estimate:
-    """Of one unknown, in the coordinate that was fitted; its draws in the value's unit."""
+    """Estimate of one unknown's coordinate; its draws are in the value's unit."""
     fit = explanation.fit
     unknown = fit.model.unknowns[i]
     draws = None if posterior is None else unknown.value(posterior.draws[..., i])
@@ -349,7 +339,7 @@ def _declared_parameters(
 
 
 def _doubts_in_words(findings: Findings, whole: DirectPosterior) -> Iterator[str]:
-    """What the form of a law that is named, and what is left, do to δ."""
+    """How the inexact form of a named law and the misfit widen the interval of δ."""
     gaps = [i for i, unknown in enumerate(whole.fit.model.unknowns) if unknown.name == GAP]
     wider = float(whole.model_widening[gaps].max())
     of_shaft = [in_words(c.name) for c in laws_of_shaft(findings.naming.final)]
@@ -364,9 +354,9 @@ def _doubts_in_words(findings: Findings, whole: DirectPosterior) -> Iterator[str
 
 
 def _why_no_gap(findings: Findings, posterior: DirectPosterior | None, level: float) -> str:
-    """What is missing or was learned leaves δ open, or a tolerance decides it; else empty."""
+    """Reason why the recordings do not determine δ; empty otherwise."""
     if findings.learned is not None:
-        # Noise is told from what remains by its tests, not by a share of little.
+        # Tests decide whether something remains: a share of nearly nothing says little.
         remains = bool(findings.after.remaining) or not is_explained(findings.final.fit)
         return why_no_gap(findings.learned, findings.after.closes(findings.before), remains)
     if findings.naming.repeats:
@@ -388,7 +378,7 @@ KNOWN_ANGLE_SD_RAD = 1e-3
 """Standard deviation of a start angle that a load encoder gives."""
 
 NEAR_LIMIT = 0.95
-"""Share of the drive's current limit from which on a current is held by it, offsets allowed for."""
+"""Share of the drive's current limit from which the limit may hold the current."""
 
 SPEED_ALONE = (
     "There is no motor current: friction, offsets and the torque constant cannot be told apart "
@@ -402,13 +392,7 @@ NOT_SAMPLED = (
 
 
 def comparison(task: Task) -> Comparison:
-    """Speed and current beside their simulation, with draws of everything unknown.
-
-    Raises
-    ------
-    UserError
-        As :func:`forward_problem`.
-    """
+    """Comparison of a task; raises ``UserError`` as :func:`forward_problem` does."""
     used, held_out, unknowns, notes = forward_problem(task)
     config = task.config
 
@@ -438,10 +422,8 @@ def comparison(task: Task) -> Comparison:
     )
 
 
-def forward_problem(
-    task: Task,
-) -> tuple[list[Observed], list[Observed], list[Unknown], list[str]]:
-    """Recordings to fit on and to predict, the unknowns, and what these recordings cannot show.
+def forward_problem(task: Task) -> tuple[list[Observed], list[Observed], list[Unknown], list[str]]:
+    """Recordings to fit, recordings to predict, unknowns, and notes.
 
     Raises
     ------
@@ -518,7 +500,7 @@ def _channels(task: Task) -> tuple[str, ...]:
 
 
 def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> list[str]:
-    """Channels whose peaks must be whole: all but a current at the limit that the bench has too."""
+    """Channels that must not be clipped: all but a current at the limit, which the bench has."""
     reached = NEAR_LIMIT * bench.value("current_limit_a")
     return [
         name
@@ -528,7 +510,7 @@ def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> l
 
 
 def require_rotations(observation: Observed, file: str, split: bool) -> None:
-    """Whole rotations separate what repeats from noise, in each half if it is split."""
+    """Refuse less than two load rotations, in each half if it is split: they separate noise."""
     fewest = (2.0 - ROUNDING) * observation.lag * (2 if split else 1)
     if observation.samples >= fewest:
         return
@@ -542,7 +524,7 @@ def require_rotations(observation: Observed, file: str, split: bool) -> None:
 
 
 def part_of(observation: Observed, rows: slice) -> Observed:
-    """Some samples of a recording, under its name."""
+    """Some samples of a recording, with its name."""
     excluded, angle = observation.excluded, observation.motor_angle_rad
     return replace(
         observation,
@@ -576,9 +558,8 @@ def _unknowns(
             unknowns.append(known)
         else:
             unknowns.append(start_angle_unknown(observation.name))
-    angle_is_known = config.comparison.motor_angle_known
     for learned in bench.learned_terms:
-        if not (angle_is_known and learned.variable == "motor_angle"):
+        if not (config.comparison.motor_angle_known and learned.variable == "motor_angle"):
             unknowns += shift_unknowns(learned, [observation.name for observation in used])
     toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:

@@ -1,8 +1,8 @@
-"""A torque of no known law, or the encoder's error, learned from what the simulation leaves.
+"""Learn a torque without a known law, or an encoder error, from the residual of a simulation.
 
-Each is a Fourier series of one variable with normal coefficients, those of order k falling as 1/k:
-a hypothesis beside the explanation that leaves something, weighed as all others are
-(:mod:`bayesbl.model_search.closed_loop`), first around its fit, the likeliest then in full.
+Each is a Fourier series over one variable with normal coefficients that fall as 1/k. Such a series
+is a hypothesis like all others (:mod:`bayesbl.model_search.closed_loop`): linearised at the fit of
+an explanation, then, if probable, fitted in full.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from bayesbl.matching.signals import SimulatedSignals, Unknown
 from bayesbl.model_search.closed_loop import CONTENDERS, linearised, noise_in_loop, weighed
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT, UNEXPLAINED_SHARE
 from bayesbl.model_search.linear import Term, search
-from bayesbl.model_search.refit import Explanation, with_own_noise
-from bayesbl.model_search.residuals import Unexplained, What
+from bayesbl.model_search.refit import Explanation, chi_square, with_own_noise
+from bayesbl.model_search.residuals import Unexplained, What, with_shares
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 ORDERS = (1, 2, 3, 4, 6, 8, LEARNED_HARMONICS)
-"""Numbers of orders that are tried."""
+"""Numbers of orders to try."""
 
 LONGEST_PERIOD = 5.0
-"""Turns of the motor: what repeats more rarely belongs to the load or to time."""
+"""Longest period in motor turns; a longer one belongs to the load or to time."""
 
 MOST_BASES = 3
 
 WHOLE = 0.02
-"""Of an order: what is so close to another is the same."""
+"""Relative difference of orders that count as the same."""
 
 SAME_ORDER = 2e-3
-"""Of an order: lines of two channels this close are one."""
+"""Relative difference of lines of two channels that count as one."""
 
 PLACES = 16
-"""Of a shift tried in a period of the highest order."""
+"""Shifts to try in a period of the highest order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Where something could act, and what it could depend on.
+    """A Fourier series that may act on one side, over one variable.
 
-    ``own_zero``: the variable's zero is another one in every recording. ``orders``: how many;
-    ``size``: usual one of order 1, N m or rad.
+    ``own_zero``: whether each recording has its own zero of the variable. ``size``: usual size of
+    order 1, N m or rad.
     """
 
     side: Side | Literal["encoder"]
@@ -68,7 +68,7 @@ class Series:
     size: float = 0.0
 
     def term(self, coefficients: FloatArray) -> LearnedTerm:
-        """With these coefficients: the constant, which no encoder has, cosines, sines."""
+        """Term with these coefficients: constant (not of an encoder), cosines, sines."""
         constant, *waves = map(float, coefficients)
         cosine, sine = tuple(waves[: self.orders]), tuple(waves[self.orders :])
         constant = 0.0 if self.side == ENCODER else constant
@@ -78,34 +78,29 @@ class Series:
 
     @property
     def nothing(self) -> LearnedTerm:
-        """With none."""
+        """Term of size zero."""
         return self.term(np.zeros(2 * self.orders + 1))
 
     @property
     def free(self) -> list[int]:
-        """Places of what is fitted: beside a zero of its own a constant is an offset."""
+        """Indices of the fitted coefficients: with its own zero, a constant would be an offset."""
         without_constant = self.own_zero or self.side == ENCODER
         return list(range(int(without_constant), 2 * self.orders + 1))
 
     @property
     def usual(self) -> FloatArray:
-        """Of each coefficient, (2 orders + 1,)."""
+        """Usual size of each coefficient, (2 orders + 1,)."""
         falling = self.size / np.arange(1, 1 + self.orders)
         return np.concatenate([[self.size], falling, falling])
 
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What was learned, fitted jointly with all else.
+    """A learned term, fitted jointly with everything else.
 
-    Attributes
-    ----------
-    explanation
-        With the coefficients among its unknowns.
-    block
-        Whether it is a torque or an error of the encoder.
-    alike
-        Other variables or sides that the recordings do not tell from it.
+    ``explanation``: explanation with the coefficients among its unknowns; ``block``:
+    ``learned_torque`` or ``encoder_error``; ``alike``: other terms that the recordings do not
+    distinguish from it.
     """
 
     explanation: Explanation
@@ -114,14 +109,13 @@ class Learned:
 
     @property
     def term(self) -> LearnedTerm:
-        """As fitted, with standard deviations."""
+        """The term as fitted, with standard deviations."""
         terms = learned_terms(self.explanation.fit)
         return next(term for term in terms if term.block == self.block)
 
     @property
     def reaches_ringing(self) -> bool:
-        """Whether its orders repeat with the load, as impacts do, up to the ringing of one: it
-        could be taken for impacts, and these for it."""
+        """Whether its load orders reach the ringing frequency, so that it may imitate impacts."""
         term, model = self.term, self.explanation.fit.model
         if term.variable != "load_angle":
             return False
@@ -134,32 +128,29 @@ def learned_term(
     around: Sequence[tuple[Explanation, Sequence[Unexplained]]],
     motor_angle_known: bool,
 ) -> Learned | None:
-    """The series that is there almost surely beside an explanation; ``None`` without one.
+    """The almost certain series that an explanation lacks; ``None`` without one.
 
-    Parameters
-    ----------
-    around
-        Where it is sought: the same explanation, and one that comes nearer; with what still repeats
-        there, whose lines propose motor orders and frequencies.
+    ``around``: explanations at which series are linearised, each with its remaining lines, which
+    propose motor orders and frequencies.
     """
     fit, noise = base.fit, noise_in_loop(base.fit)
     known = {term.block for term in fit.model.bench.learned_terms}
     without = weighed(base, noise=noise).log_evidence
     fitted: list[tuple[float, Learned]] = []
     for near, remaining in around:
-        every = [
-            replace(one, orders=_shown(fit.model, one), size=_typical_size(near.fit, one))
-            for one in _series(remaining, motor_angle_known)
-            if one.nothing.block not in known
+        possible = [
+            replace(series, orders=_shown(fit.model, series), size=_typical_size(near.fit, series))
+            for series in _series(remaining, motor_angle_known)
+            if series.nothing.block not in known
         ]
-        odds = math.log(EXPECTED_HYPOTHESES / max(1, len(every)))
-        for series, sizes in _promised(near.with_derivatives(), every):
+        odds = math.log(EXPECTED_HYPOTHESES / max(1, len(possible)))
+        for series, sizes in _promised(near.with_derivatives(), possible):
             with suppress(SimulationError):
-                made = _fitted(base, series, sizes)
-                evidence = weighed(made, noise=noise).log_evidence - without + odds
-                evidence += _log_prior(made.fit, fit.point.size)
-                fitted.append((evidence, Learned(made, series.nothing.block, ())))
-    fitted.sort(key=lambda one: -one[0])
+                extended = _fitted(base, series, sizes)
+                evidence = weighed(extended, noise=noise).log_evidence - without + odds
+                evidence += _log_prior(extended.fit, fit.point.size)
+                fitted.append((evidence, Learned(extended, series.nothing.block, ())))
+    fitted.sort(key=lambda pair: -pair[0])
     if not fitted or fitted[0][0] < -math.log1p(-NAMED_AT):
         return None
     (most, best), *others = fitted
@@ -174,16 +165,16 @@ def _dependence(term: LearnedTerm) -> tuple[str, str, bool]:
     return term.side, term.variable, term.reverses
 
 
-def _promised(near: Explanation, every: Sequence[Series]) -> Iterator[tuple[Series, FloatArray]]:
-    """The likeliest series around a fit, with the coefficients there."""
+def _promised(near: Explanation, possible: Sequence[Series]) -> list[tuple[Series, FloatArray]]:
+    """The most probable series in the linearisation at a fit, with their coefficients."""
     noise = noise_in_loop(near.fit)
-    promised = [promise for one in every if (promise := _promise(near, one, noise)) is not None]
-    for _, series, sizes in sorted(promised, key=lambda promise: -promise[0])[:CONTENDERS]:
-        yield series, sizes
+    promises = [p for series in possible if (p := _promise(near, series, noise)) is not None]
+    promises.sort(key=lambda promise: -promise[0])
+    return [(series, sizes) for _, series, sizes in promises[:CONTENDERS]]
 
 
 def _log_prior(fit: SimulatedFit, first: int) -> float:
-    """ln of the density of all unknowns from one on, times Laplace's volume."""
+    """ln prior density of all unknowns from one on, with Laplace's volume of flat ones."""
     total = 0.0
     for unknown, x in zip(fit.model.unknowns[first:], fit.point[first:], strict=True):
         if math.isfinite(unknown.sd):
@@ -194,6 +185,7 @@ def _log_prior(fit: SimulatedFit, first: int) -> float:
 
 
 def _series(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Series]:
+    """All series to try."""
     turn = 2.0 * math.pi
     for side in ("load", "motor"):
         for reverses in (False, True):
@@ -211,7 +203,7 @@ def _series(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterat
 
 
 def _shown(model: SimulatedSignals, series: Series) -> int:
-    """Orders below half of the sampling frequency in some recording; steps follow the highest."""
+    """Number of orders below half the sampling rate of some recording."""
 
     def base_hz(observation: Observed) -> float:
         if series.variable == "time":
@@ -230,22 +222,18 @@ def _shown(model: SimulatedSignals, series: Series) -> int:
 def _bases(
     remaining: Sequence[Unexplained], dependence: What, value: Callable[[Unexplained], float]
 ) -> list[float]:
-    """Orders or frequencies that what is left could be made of, at most a few.
+    """A few base orders or frequencies for the remaining lines.
 
-    Of whole orders one, the smallest distance between two of its lines, and the strongest lines.
+    They are 1 if a line is at a whole order, the smallest distance of two lines, and the strongest
+    lines.
     """
-    powers = {
-        channel: sum(e.amplitude**2 for e in remaining if e.channel == channel)
-        for channel in {entry.channel for entry in remaining}
-    }
     lines: dict[float, float] = {}
-    for entry in remaining:
+    for entry, share in with_shares(remaining):
         if entry.dependence in (dependence, "angle or time") and value(entry) > 0.0:
             line = value(entry)
             if dependence == "motor angle" and abs(line - round(line)) < 0.1 * WHOLE:
                 line = float(round(line))
             line = next((x for x in lines if abs(line / x - 1.0) <= SAME_ORDER), line)
-            share = entry.amplitude**2 / powers[entry.channel]
             lines[line] = lines.get(line, 0.0) + share
     between = [abs(a - b) for a in lines for b in lines if abs(a - b) > WHOLE]
     is_whole = dependence == "motor angle" and any(line == round(line) for line in lines)
@@ -260,8 +248,10 @@ def _bases(
 def _promise(
     near: Explanation, series: Series, noise: Sequence[Sequence[FloatArray]]
 ) -> tuple[float, Series, FloatArray] | None:
-    """ln of the evidence around a fit, the series with its likeliest number of orders, and the
-    coefficients there, (recordings of an own zero, 2 orders + 1); ``None`` where none is likely."""
+    """ln evidence in the linearisation at a fit, the series with its most probable number of
+    orders, and its coefficients, (recordings with an own zero, 2 orders + 1); ``None`` if none is
+    probable.
+    """
     model, most = near.fit.model, series.orders
     extended = _with(
         model, series, [Unknown(series.nothing.names[k - 1 - 2 * most]) for k in series.free]
@@ -277,24 +267,25 @@ def _promise(
     columns = np.stack([c if o is None else model.only_in(o, c) for o in owners for c in changes])
     variants = [replace(series, orders=n) for n in sorted({min(n, most) for n in ORDERS})]
     terms, place = [], {k: i for i, k in enumerate(series.free)}
-    for one in variants:
-        kept = [place[k if k <= one.orders else k - one.orders + most] for k in one.free]
+    for variant in variants:
+        orders = variant.orders
+        kept = [place[k if k <= orders else k - orders + most] for k in variant.free]
         rows = np.concatenate([np.array(kept) + i * steps.size for i in range(len(owners))])
         terms.append(Term("learned", columns[rows].T, prior_weight=1.0 / len(variants)))
     posterior = search(linearised(near, terms, noise=noise), 1)
     likeliest = next((terms for terms in posterior.sets if terms), None)
     if likeliest is None:
         return None
-    one = variants[likeliest[0]]
-    sizes = np.zeros((len(owners), 2 * one.orders + 1))
+    best = variants[likeliest[0]]
+    sizes = np.zeros((len(owners), 2 * best.orders + 1))
     ((mean,), _) = posterior.mean_of(likeliest)
-    sizes[:, one.free] = mean.reshape(len(owners), -1)
+    sizes[:, best.free] = mean.reshape(len(owners), -1)
     evidence = posterior.log_evidence + math.log(posterior.sets[likeliest])
-    return evidence, one, sizes * one.usual
+    return evidence, best, sizes * best.usual
 
 
 def _typical_size(fit: SimulatedFit, series: Series) -> float:
-    """Size that what is left would have as this, N m or rad: a step for derivatives."""
+    """Size of the series that has the RMS of the residual, N m or rad."""
     model = fit.model
     observation = model.recordings[0]
     residual_rms = np.sqrt(np.mean(fit.unexplained(0) ** 2, axis=1))
@@ -312,27 +303,29 @@ def _typical_size(fit: SimulatedFit, series: Series) -> float:
 
 
 def _with(model: SimulatedSignals, series: Series, unknowns: Sequence[Unknown]) -> SimulatedSignals:
-    """The comparison with a series, all of it zero, and these unknowns more."""
+    """The model with a series of size zero, and further unknowns."""
     return model.with_unknowns(model.bench.with_learned(series.nothing), unknowns)
 
 
 def aligned(sizes: FloatArray, series: Series) -> tuple[FloatArray, list[float]]:
-    """One series for all recordings, (2 orders + 1,), and where it begins in each of them, relative
-    to the first, from one for each, (r, 2 orders + 1)."""
+    """Combine the series of r recordings, (r, 2 orders + 1), into one, (2 orders + 1,).
+
+    Also returns its shift in each recording, relative to the first.
+    """
     n = series.orders
     waves = sizes[:, 1 : n + 1] - 1j * sizes[:, n + 1 :]
     turns = np.arange(n * PLACES) / (n * PLACES)
     tried = np.exp(2j * math.pi * np.outer(turns, np.arange(1, n + 1)))
     strongest = waves[np.argmax(np.abs(waves).max(axis=1))]
-    places = [int(np.argmax((tried.conj() @ (own * strongest.conj())).real)) for own in waves]
-    mean = np.mean([own * tried[k].conj() for own, k in zip(waves, places, strict=True)], axis=0)
+    places = [int(np.argmax((tried.conj() @ (wave * strongest.conj())).real)) for wave in waves]
+    mean = np.mean([wave * tried[k].conj() for wave, k in zip(waves, places, strict=True)], axis=0)
     mean = mean * tried[places[0]]
     shifts = [series.period * float(turns[k] - turns[places[0]]) for k in places]
     return np.concatenate([sizes[:1, 0], mean.real, -mean.imag]), shifts
 
 
 def _fitted(base: Explanation, series: Series, sizes: FloatArray) -> Explanation:
-    """All unknowns jointly with the coefficients."""
+    """Fit of all unknowns with the coefficients of a series."""
     model, names = base.fit.model, series.nothing.names
     name_of = {k: names[k - 1 - 2 * series.orders] for k in series.free}
     together, shifts = aligned(sizes, series) if series.own_zero else (sizes[0], [])
@@ -352,19 +345,17 @@ def _fitted(base: Explanation, series: Series, sizes: FloatArray) -> Explanation
             )
             start.append((shift + 0.5 * period) % period - 0.5 * period)
     extended = _with(model, series, unknowns)
-    own = base.fit.point.size
     starts = [np.concatenate([base.fit.point, start])]
-    # What was missing may have drawn the gap away: also from where it is with the torque known.
-    for other in aligned_starts(extended):
-        other[own:] = start
-        starts.append(with_shifts(extended, other))
-    chi_square = [float(z @ z) for z in extended.whitened(np.stack(starts))]
-    begin = starts[int(np.argmin(np.nan_to_num(chi_square, nan=np.inf)))]
-    return replace(base, fit=fit_simulated(extended, begin, base.fit.steps, rough=True))
+    # The missing term may have drawn the gap away, so starts are also aligned with the term.
+    for aligned_start in aligned_starts(extended):
+        aligned_start[base.fit.point.size :] = start
+        starts.append(with_shifts(extended, aligned_start))
+    best = min(starts, key=lambda point: chi_square(extended, point))
+    return replace(base, fit=fit_simulated(extended, best, base.fit.steps, rough=True))
 
 
 def sd_over(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> FloatArray:
-    """Standard deviation of a term at these values of its variable, as ``x``."""
+    """Standard deviation of a term at values of its variable, as ``x``."""
     basis = np.hstack([np.ones((x.size, 1)), *waves_over(x, term.period, term.orders)])
     basis = basis[:, -len(term.names) :]  # an encoder has no constant
     places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
@@ -376,7 +367,7 @@ def sd_over(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> FloatArray:
 
 
 def answer_of(learned: Learned) -> LearnedAnswer:
-    """What is told of it."""
+    """The learned term over its variable."""
     term = learned.term
     lowest = 0.0 if term.belongs_to_recordings else -0.5 * term.period
     x = lowest + term.period * np.linspace(0.0, 1.0, CURVE_POINTS)
@@ -385,9 +376,10 @@ def answer_of(learned: Learned) -> LearnedAnswer:
 
 
 def why_no_gap(learned: Learned, closed: float, remains: bool) -> str:
-    """What leaves δ open beside it, else empty.
+    """Reason why the learned term leaves δ undetermined; empty otherwise.
 
-    ``closed``: share of what repeated that is gone; ``remains``: whether anything still stands out.
+    ``closed``: share of the repeating residual that it removes; ``remains``: whether anything still
+    stands out.
     """
     if learned.reaches_ringing:
         return (

@@ -1,7 +1,7 @@
-"""An explanation as a bench, and what it predicts.
+"""An explanation as a bench, and its predictions.
 
-As a bench file holds it; of the recordings that were fitted, of those that were held out, and of
-one yet to be made, which would tell apart what these cannot.
+Predictions of the fitted recordings, of held-out ones, and of a future recording that would
+distinguish what these cannot.
 """
 
 from __future__ import annotations
@@ -34,20 +34,19 @@ from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 
 SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)
-"""Of the highest speed recorded, that are tried."""
+"""Speeds to try, relative to the highest recorded one."""
 PAYLOAD = 1.3
-"""Times the present one, that is tried at the highest speed."""
+"""Payload to try at the highest speed, relative to the present one."""
 ANGLE_STEP = 1e-4
 ROTATIONS = 5.0
-"""Of the load, in a recording that is suggested."""
+"""Load rotations in a suggested recording."""
 
 
 def augmented_bench(explanation: Explanation) -> Bench:
-    """Effects and corrected parameters of an explanation, with their standard deviations.
+    """The bench with the effects and corrected parameters of an explanation.
 
-    A corrected parameter gets the fit's standard deviation as the standard deviation of a uniform
-    tolerance. The phase of a periodic effect belongs to a recording, not to the bench: the first
-    recording's is in the bench, ``simulate`` shifts it with the start.
+    The tolerance of a corrected parameter is √3 standard deviations of the fit. A phase belongs to
+    a recording, not to the bench: the bench has that of the first, and ``simulate`` shifts it.
     """
     fit = explanation.fit
     bench = fit.model.bench
@@ -59,7 +58,7 @@ def augmented_bench(explanation: Explanation) -> Bench:
             sd = scale * float(np.sqrt(fit.covariance[i, i]))
             estimates[unknown.name] = value, sd
     effects = (_with_estimates(effect, estimates) for effect in bench.effects)
-    corrected = {name: one for name, one in estimates.items() if name in bench.parameters}
+    corrected = {name: pair for name, pair in estimates.items() if name in bench.parameters}
     bench = bench.with_parameters(**{name: value for name, (value, _) in corrected.items()})
     bench = bench.with_effects(*effects).with_learned(*learned_terms(fit))
     parameters = dict(bench.parameters)
@@ -70,7 +69,7 @@ def augmented_bench(explanation: Explanation) -> Bench:
 
 
 def learned_terms(fit: SimulatedFit) -> list[LearnedTerm]:
-    """What the bench has learned, at the optimum, with standard deviations."""
+    """Learned terms of the bench at the optimum, with standard deviations."""
     places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
     spread = np.sqrt(np.diag(fit.covariance))
     values = {name: float(fit.point[i]) for name, i in places.items()}
@@ -81,16 +80,18 @@ def learned_terms(fit: SimulatedFit) -> list[LearnedTerm]:
 def _with_estimates(
     effect: BenchEffect, estimates: Mapping[str, tuple[float, float]]
 ) -> BenchEffect:
-    own = {k: estimates.get(f"{effect.name}__{k}") for k in effect.parameters}
-    estimated = {k: EffectParameterValue(*one) for k, one in own.items() if one is not None}
+    pairs = {k: estimates.get(f"{effect.name}__{k}") for k in effect.parameters}
+    estimated = {k: EffectParameterValue(*pair) for k, pair in pairs.items() if pair is not None}
     return BenchEffect(effect.name, {**effect.parameters, **estimated})
 
 
 def compared_pieces(
     nominal: Explanation, final: Explanation, held_out: Sequence[Observed]
 ) -> tuple[ComparedPiece, ...]:
-    """Every channel of all recordings beside both simulations; of held-out ones only what is their
-    own is fitted: gap, start and phases."""
+    """All channels of all recordings with both simulations.
+
+    Only gap, start and phases of held-out recordings are fitted to them.
+    """
     both, pieces = (nominal, final), list[ComparedPiece]()
     for i, observation in enumerate(final.fit.model.recordings):
         pieces += compared_channels(observation, "used", *(e.fit.simulated(i) for e in both))
@@ -104,28 +105,34 @@ def compared_pieces(
 def compared_channels(
     observation: Observed, use: Use, before: FloatArray, after: FloatArray
 ) -> Iterator[ComparedPiece]:
-    """Each channel beside its simulations, (c, n) each; RMS as of the samples that count alone."""
+    """Each channel with both simulations, (c, n); excluded samples do not change its RMS."""
     time_s, measured = (
         observation.begin_s + np.arange(observation.samples) / observation.sampling_hz,
         observation.signals,
     )
     if observation.excluded is not None:
         measured = np.where(observation.excluded, np.nan, measured)
-    residuals = np.stack([observation.residual_of(made) for made in (before, after)], axis=1)
+    residuals = np.stack([observation.residual_of(s) for s in (before, after)], axis=1)
     residuals *= float(np.mean(observation.compared)) ** -0.5
-    for name, own, *signals in zip(
+    for name, residual, *signals in zip(
         observation.channels, residuals, measured, before, after, strict=True
     ):
         yield ComparedPiece.of(
-            observation.name, name, use, time_s, *signals, residual=own, rotation=observation.lag
+            observation.name,
+            name,
+            use,
+            time_s,
+            *signals,
+            residual=residual,
+            rotation=observation.lag,
         )
 
 
 def predicted(explanation: Explanation, observation: Observed) -> FloatArray:
-    """What an explanation says of a recording that it was not fitted on, shape (c, n).
+    """Prediction of a recording that was not fitted, shape (c, n).
 
-    The gap is that of all recordings or, in a half of a recording that was split, of the other
-    half; else it is the recording's own, as its start is.
+    The gap is that of all recordings, or of the fitted half of a split recording. Otherwise it is
+    fitted to the recording, like its start angle.
     """
     fit = explanation.fit
     gap = fit.model.place_of(GAP, observation.name)
@@ -155,7 +162,7 @@ def predicted(explanation: Explanation, observation: Observed) -> FloatArray:
         known,
     )
     trials = aligned_starts(model)
-    if phases:  # four quadrants, as a phase far off has no slope towards the right one
+    if phases:  # four quadrants, because a distant phase has no slope towards the right one
         at = [k for k, unknown in enumerate(unknowns) if unknown in phases]
         trials = [trial.copy() for trial in trials for _ in range(4)]
         for k, trial in enumerate(trials):
@@ -165,10 +172,10 @@ def predicted(explanation: Explanation, observation: Observed) -> FloatArray:
 
 
 def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> Suggestion | None:
-    """Of some simple recordings the one in which rivals differ most; ``None`` without rivals.
+    """The simple recording in which rivals differ most; ``None`` without rivals.
 
-    Every explanation is simulated with what it was fitted to; what a start angle or an offset of
-    the phase could hide is projected out. Noise as in the first recording.
+    Each explanation is simulated as fitted, with the noise of the first recording. Differences that
+    a start angle could hide are projected out.
     """
     rivals = [rival for effect in named for _, rival in effect.indistinguishable]
     if not rivals:
@@ -177,7 +184,7 @@ def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> 
     first = final.fit.model.recordings[0]
     best: Suggestion | None = None
     for speed, payload in _options(final.fit.model.recordings):
-        simulations = [_seen(e, first, speed, payload) for e in (final, *rivals)]
+        simulations = [_rotation(e, first, speed, payload) for e in (final, *rivals)]
         if any(s is None for s in simulations):
             continue
         signals = [s for s in simulations if s is not None]
@@ -194,17 +201,17 @@ def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> 
 
 
 def _options(recordings: Sequence[Observed]) -> Iterator[tuple[float, float]]:
-    """(reference speed, payload share) of recordings that are not there yet."""
-    there = {round(observation.reference_speed_rpm) for observation in recordings}
+    """(reference speed, payload share) of further recordings."""
+    recorded = {round(observation.reference_speed_rpm) for observation in recordings}
     top = max(abs(observation.reference_speed_rpm) for observation in recordings)
     for share in SPEED_SHARES:
         for direction in (1.0, -1.0):
-            if round(direction * share * top) not in there:
+            if round(direction * share * top) not in recorded:
                 yield direction * share * top, 1.0
     yield top, PAYLOAD
 
 
-def _seen(
+def _rotation(
     explanation: Explanation, first: Observed, speed_rpm: float, payload: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """One rotation and its derivative by the start angle, (c, n) each; ``None`` if it fails."""

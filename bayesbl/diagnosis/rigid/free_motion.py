@@ -1,10 +1,9 @@
-"""Free motion of a rigid bench: let go without motor torque, the position simulated and compared.
+"""Free motion of a rigid bench without motor torque: its position is simulated and compared.
 
-Start angle and speed of every recording are fitted with the effects, and where the load's zero is
-unless it is known: nonlinear least squares on the simulated position, first with both usual
-frictions, then with what the posterior holds. There the trajectory is linearised: a hypothesis that
-is absent is where the line through the fit crosses zero. On one inertia friction at the motor and
-at the load are the same law.
+Start angle and speed of each recording, and the load's zero if it is unknown, are fitted with the
+effects by nonlinear least squares: first with both usual frictions, then with what the posterior
+contains. The trajectory is linearised at this fit; without an effect, it is extrapolated to size
+zero. With one inertia, friction at the motor and at the load are the same law.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import (
     AffineModel,
     Discrepancy,
@@ -32,6 +30,7 @@ from bayesbl.diagnosis.inference import (
     Piece,
     Rows,
     Series,
+    View,
     candidate_of,
 )
 from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, without_load_angle
@@ -59,32 +58,32 @@ from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 ACCURACY = 1e-7
-"""Largest error of the simulated speed, as a share of the largest speed.
+"""Largest error of the simulated speed, relative to the largest speed.
 
-The simulation's steps change with the parameters, so its error jumps: at 1e-5 as much as the finite
-differences see of an effect, and searches ended early, each elsewhere.
+The simulator's steps change with the parameters, so its error jumps. At 1e-5, the jumps were as
+large as finite differences by an effect, and fits ended early in different places.
 """
 
 WIDTHS = (1e-3, 0.01, 0.3)
-"""Speed over which dry friction changes its sign, in RMS speeds: least, first and largest."""
+"""Least, first and largest speed over which dry friction changes sign, in RMS speeds."""
 
 SHAPE_RANGE = (0.01, 2.0)
-"""Of a fading speed, in RMS speeds."""
+"""Range of a fading speed, in RMS speeds."""
 
 SHAPES = tuple(np.geomspace(0.02, 1.0, 6))
-"""Fading speeds that are tried, in RMS speeds."""
+"""Fading speeds to try, in RMS speeds."""
 
 ORDERS = 4
-"""Of a torque that nothing explains, over the load's angle and the speed."""
+"""Number of orders of a discrepancy torque."""
 
 FIRST = ("motor_coulomb_friction", "motor_viscous_friction")
-"""Effects of the first fit: without friction a trajectory is too far off to be linearised."""
+"""Effects of the first fit: without friction, it is too far off for a linearisation."""
 
 STEP = 0.05
-"""Of a size at which its search begins: for derivatives."""
+"""Step of a derivative, relative to the first size of a fit."""
 
 FIRST_SHARE = 0.03
-"""Of the torques at work, in which a search for an effect begins."""
+"""First size of an effect, relative to the acting torques."""
 
 ZERO, WIDTH = "angle_zero", "friction_width"
 _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_per_s")
@@ -93,30 +92,22 @@ _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_
 FREE_MOTION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
     {e.name: TORQUE_LAWS[e.name] for e in EFFECTS if e.free_motion}
 )
-"""Of effects that free motion shows."""
-
+"""Laws of effects that free motion shows."""
 
 Values = Mapping[str, float]
-"""Bench parameters, ``effect__parameter``, the zero, the width, and ``angle@i``, ``speed@i``."""
+"""Bench parameters, ``effect__parameter``, zero, width, and ``angle@i`` and ``speed@i``."""
 
 Ranges = dict[str, tuple[float, float, float]]
-"""Of these the first value, the lower and the upper bound."""
+"""First value, lower and upper bound of each."""
 
 
 @dataclass(frozen=True)
-class FreeMotionView:
-    """Pieces that begin when the motor lets go: its position, rad.
+class FreeMotionView(View):
+    """Positions, rad, from the moment when the motor torque ends.
 
-    Attributes
-    ----------
-    effects
-        That may take part.
-    unknown
-        Bench parameters that are fitted.
-    fitted, values
-        Effects in the fit that all is linearised around, and its values.
-    without
-        Prediction of the fit without any effect, (N,).
+    ``effects``: effects that may be named; ``unknown``: free bench parameters; ``fitted``,
+    ``values``: effects in the fit at which everything is linearised, and the fit's values;
+    ``without``: prediction of the fit without any effect, (N,).
     """
 
     pieces: tuple[Piece, ...]
@@ -129,14 +120,14 @@ class FreeMotionView:
     without: FloatArray | None = None
 
     def prepared(self) -> FreeMotionView:
-        """Around a fit with the usual frictions."""
+        """The view at a fit with the usual frictions."""
         nothing = self.fit((), {})
         view = replace(self, without=self.predictions((), nothing))
         first = tuple(name for name in FIRST if name in self.effects)
         return replace(view, fitted=first, values=self.fit(first, nothing))
 
     def refined(self, inference: Inference) -> FreeMotionView:
-        """Around a fit with what is there almost surely."""
+        """The view at a fit with the almost certain effects."""
         sure = {members[0] for members in inference.sure}
         names = tuple(name for name in self.effects if name in sure)
         start = dict(self.values)
@@ -146,26 +137,20 @@ class FreeMotionView:
         return replace(self, fitted=names, values=self.fit(names, start))
 
     def settled(self, labels: Sequence[str]) -> FreeMotionView:
-        """Around the fit with these effects."""
+        """The view at the fit with these effects."""
         names = tuple(name for name in self.effects if name in labels)
         if names == self.fitted:
             return self
         return replace(self, fitted=names, values=self.fit(names, self.values))
 
-    def augmented(
-        self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
-    ) -> Bench | None:
-        """No file: the friction is known as well as gravity is."""
-        return None
-
     def reportable(self, inference: Inference, label: str) -> bool:
-        """What ended at the end of its range is no optimum."""
+        """Whether an effect's shapes are inside their range: its end is no optimum."""
         low, high = (share * self._speed for share in SHAPE_RANGE)
         shapes = [v for k, v in self.values.items() if k == f"{label}__speed_rad_per_s"]
         return all(1.01 * low < value < 0.99 * high for value in shapes)
 
     def fit(self, effects: tuple[str, ...], start: Values) -> dict[str, float]:
-        """Least squares with these effects, from what ``start`` holds."""
+        """Values of the least-squares fit with these effects, from those in ``start``."""
         places = range(len(self.pieces))
         used = [i for i in places if self.pieces[i].use == "used"]
         ranges = self._shared(effects)
@@ -180,9 +165,9 @@ class FreeMotionView:
     def _least_squares(
         self, pieces: Sequence[int], effects: tuple[str, ...], ranges: Ranges, known: Values
     ) -> dict[str, float]:
-        """The known values, and those in their ranges that fit some pieces best."""
+        """Known values, and the values within ranges that fit some pieces best."""
         first, low, high = np.transpose(list(ranges.values()))
-        # What begins at rest at zero has the size of its motion.
+        # A value that starts at zero is scaled by the largest one.
         scale = np.maximum(np.abs(first), 1e-3 * (np.abs(first).max() or self._speed))
 
         def values_at(x: FloatArray) -> dict[str, float]:
@@ -206,18 +191,18 @@ class FreeMotionView:
 
     @cached_property
     def rows(self) -> Rows:
-        """Of the pieces."""
+        """Rows of all pieces."""
         return Rows(self.pieces)
 
     def predictions(
         self, effects: tuple[str, ...], values: Values, torque: LearnedTerm | None = None
     ) -> FloatArray:
-        """Of every row, (N,)."""
+        """Simulated position of every row, (N,)."""
         return self.rows.stack(lambda i: self._predict(i, effects, values, torque))
 
     @cached_property
     def model(self) -> AffineModel:
-        """The trajectories around the fit."""
+        """Trajectories linearised at the fit."""
         at = self.predictions(self.fitted, self.values)
 
         def slope(effects: tuple[str, ...], changed: Values, step: float) -> FloatArray:
@@ -228,7 +213,7 @@ class FreeMotionView:
         for name in (*self.unknown, *(n for n in (ZERO, WIDTH) if n in self.values)):
             step = 1e-4 * max(abs(self.values[name]), 1e-2)
             nuisances[name] = slope(self.fitted, {name: self.values[name] + step}, step)
-            if name in self.unknown:  # told as what it differs by from the bench's
+            if name in self.unknown:  # a nuisance is the difference from the bench's value
                 base -= nuisances[name] * (self.values[name] - self.bench.value(name))
         for key in ("angle", "speed"):
             own = [f"{key}@{i}" for i in range(len(self.pieces))]
@@ -272,7 +257,7 @@ class FreeMotionView:
         )
 
     def _series(self) -> Iterator[Series]:
-        """Torques that nothing explains: over the load's angle and the speed."""
+        """Discrepancy torques over the load's angle and the speed."""
         ratio = self.bench.value("gear_ratio")
         states = [
             self._states(i, self.fitted, self.values)
@@ -288,14 +273,14 @@ class FreeMotionView:
             yield Series("motor_speed", fastest, reverses, ORDERS, ends[1])
 
     def _waves(self, at: FloatArray, series: Series) -> FloatArray:
-        """Change of the trajectories by each coefficient of a torque, (N, 2 orders)."""
+        """Derivatives of the trajectories by the coefficients of a torque, (N, 2 orders)."""
         size = STEP * self._torque
         torques = (series.torque(one) for one in size * np.eye(2 * series.orders))
         made = [self.predictions(self.fitted, self.values, torque) - at for torque in torques]
         return np.column_stack(made) / size
 
     def _shared(self, effects: tuple[str, ...]) -> Ranges:
-        """Of what all recordings share."""
+        """Ranges of what all recordings share."""
         ranges: Ranges = {}
         for name in self.unknown:
             value = self.bench.value(name)
@@ -315,12 +300,14 @@ class FreeMotionView:
         return ranges
 
     def _own(self, i: int) -> Ranges:
-        """Of angle and speed at a piece's first sample."""
-        first = zip(("angle", "speed"), start_of(self.pieces[i]).tolist(), strict=True)
-        return {f"{key}@{i}": (value, -np.inf, np.inf) for key, value in first}
+        """Ranges of angle and speed at a piece's first sample."""
+        piece, few = self.pieces[i], max(4, self.pieces[i].measured.size // 100)
+        time, angle = piece.time_s[:few] - piece.time_s[0], piece.measured[:few]
+        first = zip(("speed", "angle"), np.polyfit(time, angle, 1).tolist(), strict=True)
+        return {f"{key}@{i}": (value, -np.inf, np.inf) for key, value in reversed([*first])}
 
     def _first(self, parameter: EffectParameter) -> float:
-        """A small share of the torques at work: where a search for an effect starts."""
+        """First value of a parameter: a small share of the acting torques."""
         if not parameter.is_amplitude:
             return 0.3 * self._speed
         return {
@@ -332,7 +319,7 @@ class FreeMotionView:
 
     @cached_property
     def _torque(self) -> float:
-        """A small share of the torques at work, N m at the motor."""
+        """A small share of the acting torques, N m at the motor."""
         ratio = self.bench.value("gear_ratio")
         torque = FIRST_SHARE * self.bench.value("gravity_torque_nm") / ratio
         if torque == 0.0:
@@ -351,26 +338,18 @@ class FreeMotionView:
         )
 
     def _predict(
-        self,
-        i: int,
-        effects: tuple[str, ...],
-        values: Values,
-        torque: LearnedTerm | None = None,
+        self, i: int, effects: tuple[str, ...], values: Values, torque: LearnedTerm | None = None
     ) -> FloatArray:
-        piece = self.pieces[i]
+        """Simulated position of a piece, (n,)."""
         try:
             states = self._states(i, effects, values, torque)
         except SimulationError:
-            # A step of the search beyond what can be simulated: far off, and so turned back.
-            return np.full(piece.measured.size, 1e3)
+            # A step that cannot be simulated must look bad to the fit.
+            return np.full(self.pieces[i].measured.size, 1e3)
         return np.asarray(states[MOTOR_ANGLE] - values.get(ZERO, 0.0))
 
     def _states(
-        self,
-        i: int,
-        effects: tuple[str, ...],
-        values: Values,
-        torque: LearnedTerm | None = None,
+        self, i: int, effects: tuple[str, ...], values: Values, torque: LearnedTerm | None = None
     ) -> FloatArray:
         piece = self.pieces[i]
         owners = (*self.unknown, *effects)
@@ -391,18 +370,11 @@ class FreeMotionView:
         )
 
 
-def start_of(piece: Piece) -> FloatArray:
-    """Angle and speed near the first sample, where the fit of the start begins; rad, rad/s."""
-    few = max(4, piece.measured.size // 100)
-    slope, angle = np.polyfit(piece.time_s[:few] - piece.time_s[0], piece.measured[:few], 1)
-    return np.array([angle, slope])
-
-
 CHANNELS = (MOTOR_POSITION,)
 
 
 def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:
-    """Pieces to fit on and to predict; what comes to rest is split where half its way is done."""
+    """Pieces to fit and to predict; a recording is split after half of its travel."""
     pieces = []
     for entry, recording in zip(task.config.recordings, recordings, strict=True):
         way = np.cumsum(np.abs(np.diff(recording.channels[channel])))
@@ -415,13 +387,7 @@ def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tupl
 
 
 def comparison(task: Task) -> Comparison:
-    """What a configuration asks for.
-
-    Raises
-    ------
-    UserError
-        If bench, recordings or unknowns do not suit the method.
-    """
+    """Comparison of a task; raises ``UserError`` if bench or recordings do not suit the method."""
     require_rigid(task)
     config, bench, compared = task.config, task.bench, task.config.comparison
     channel = compared_channel(task, CHANNELS, "Free motion is compared by the motor's position.")
@@ -439,17 +405,11 @@ def comparison(task: Task) -> Comparison:
     if GRAVITY not in unknown:
         unknown_parameters(task)
     pieces = pieces_of(task, recordings, channel)
-    every = FREE_MOTION_LAWS
+    laws = FREE_MOTION_LAWS
     if not (compared.load_angle_known and gravity):
-        every = without_load_angle(every)
-    effects = wanted(config, bench, every)
-    view = FreeMotionView(
-        pieces,
-        bench,
-        effects,
-        unknown,
-        compared.load_angle_known or not gravity,
-    )
+        laws = without_load_angle(laws)
+    effects = wanted(config, bench, laws)
+    view = FreeMotionView(pieces, bench, effects, unknown, compared.load_angle_known or not gravity)
     for piece in pieces:
         if not np.ptp(piece.kept(piece.measured)) > 0.0:
             raise RecordingError(

@@ -1,15 +1,15 @@
-"""Inverse view of a rigid bench: measured motion in, what it should have needed out.
+"""Inverse view of a rigid bench: the torque that the measured motion requires.
 
     J dω_m/dt + (m g l/N) sin θ_l + effects + known torques = K_t i
 
-Effects take part by the laws that their modules under ``bench/effects`` declare. A rigid drive has
-no shaft, and lags inside the loop do not enter, since the recorded current is the one that flows
-and the motion the one that happened.
+Effects have the laws that their modules under ``bench/effects`` declare. A rigid drive has no
+shaft. Lags inside the loop do not matter, because the recorded current and motion are the real
+ones.
 
-All is linear in its amplitudes but a skew between the channels and the width of dry friction's
-sign, which move every column: the width is sought first, the skew linearised around. Shapes
-(orders, fading speeds, gaps) are alternatives on grids, made finer around those that suit, in units
-of the recordings' own, so that a machine of any size has the same answer.
+Everything is linear in its amplitudes except a skew between the channels and the speed over which
+dry friction changes its sign. This width is fitted first; the skew is linearised. Shapes (orders,
+fading speeds, gaps) are alternatives on grids, refined around the probable ones. Grids are in units
+of the recordings' own speeds, so that the size of a machine does not matter.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from bayesbl.diagnosis.inference import (
     Piece,
     Rows,
     Series,
+    View,
     candidate_of,
 )
 from bayesbl.diagnosis.rigid.motion import (
@@ -94,20 +95,19 @@ from bayesbl.recording.types import (
 SKEW = "channel_time_skew"
 TORQUE_CONSTANT = "torque_constant_nm_per_a"
 
-
 TORQUE_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
     {effect.name: effect.torque for effect in EFFECTS if effect.torque is not None}
 )
-"""Of effects in the torque at the motor, N m."""
+"""Laws of all effects that act as a torque at the motor, N m."""
 
 
 def without_load_angle(laws: Mapping[str, RigidLaw]) -> dict[str, RigidLaw]:
-    """The laws that do not ask where the load hangs."""
+    """Laws that do not depend on the load's angle."""
     return {n: law for n, law in laws.items() if "load_angle" not in effect_named(n).depends_on}
 
 
 def within_turns(laws: Mapping[str, RigidLaw], turns: float) -> dict[str, RigidLaw]:
-    """The laws without those that repeat once a turn of the motor, and so too rarely."""
+    """Laws without those that repeat once per motor turn, if there are too few turns."""
     return {
         name: law
         for name, law in laws.items()
@@ -116,20 +116,17 @@ def within_turns(laws: Mapping[str, RigidLaw], turns: float) -> dict[str, RigidL
 
 
 def uncomputable(laws: Mapping[str, RigidLaw], bench: Bench, load_angle_known: bool) -> list[str]:
-    """Names of laws for which the angles do not give enough, sorted.
-
-    Without the load's angle gravity is unknown, and with it the torque that the gear passes on.
-    """
-    if load_angle_known or bench.value("gravity_torque_nm") <= 0.0:
+    """Names of laws that need the torque in the gear, which is unknown with gravity's angle."""
+    if load_angle_known or bench.value(GRAVITY) <= 0.0:
         return []
     return sorted(n for n in laws if "transmitted_torque" in effect_named(n).depends_on)
 
 
 def required_torque(motion: Motion, bench: Bench) -> FloatArray:
-    """Torque that this motion asks of the motor, effects of the bench included, N m.
+    """Motor torque that a motion requires, with the effects of the bench, N m.
 
-    (J_m + J_l/N²) dω_m/dt + (m g l/N) sin(θ_m/N) and the losses. What a rigid drive cannot show
-    (shaft, loop lags) is left out; a skew is the comparison's business.
+    (J_m + J_l/N²) dω_m/dt + (m g l/N) sin(θ_m/N) and the losses. Shaft, lags of the loop and a skew
+    of the channels are left out.
     """
     torque = bench.value("motor_inertia_kg_m2") * motion.acceleration
     torque = torque + bench.transmitted_torque(motion)
@@ -143,38 +140,42 @@ def required_torque(motion: Motion, bench: Bench) -> FloatArray:
 
 
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
-"""In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
+"""Widths of the friction's change of sign, in RMS speeds. A narrower one contains few samples; a
+wider one would be viscous friction."""
 
 DELAY = 4.0
 """Usual skew, in sampling periods."""
 
 QUIET = 0.5
-"""Of the torque's noise: so much in the motion makes a standard deviation an eighth too small."""
+"""Largest noise of the motion over that of the torque. It makes standard deviations an eighth too
+small."""
 
 MOST_ORDERS, MOST_LINES = 8, 4
-"""Lines that are tried, of the motor's angle and of time: the strongest."""
+"""Largest numbers of motor orders and of lines in time that are tried, the strongest."""
 
 FINER = 5
-"""Shapes tried between the neighbours of one that suits."""
+"""Number of shapes between the neighbours of a probable one."""
 
 DRIFT_ORDERS = 6
-"""Cosines over the time of a recording: slower than friction that warms up in it."""
+"""Number of cosines over the time of a recording: slower than friction that warms up."""
 
 LINE = 0.3
 """Usual share of a line in time."""
 
 TURNS = 1.0
-"""Way of the load, rad, from which gravity's direction turns: on a shorter one it is an offset and
-a spring."""
+"""Travel of the load, rad, from which gravity changes direction. On a shorter one it is an offset
+and a spring."""
 
 WRONG_VALUE = 0.3
-"""Usual share of a wrong value of the data sheet in what is compared."""
+"""Usual share of a wrong value of the data sheet."""
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """A piece; over its whole recording its motion and what is known of the torque at the motor,
-    N m, (n,); and what is compared of a signal over that."""
+    """A piece with the motion and the known motor torque, N m, (n,), of its whole recording.
+
+    ``window``: makes the compared signal from one over the whole recording.
+    """
 
     piece: Piece
     motion: Motion
@@ -182,34 +183,37 @@ class Compared:
     window: Window
 
     def along(self, signal: FloatArray) -> FloatArray:
-        """A signal over the recording, (n,), at the samples that count, (k,)."""
+        """A signal over the recording, (n,), at the piece's samples, (k,)."""
         return self.piece.kept(signal[self.window.rows])
 
 
 @dataclass(frozen=True)
-class InverseView:
-    """Motion of every piece against what was measured of torque or current.
+class InverseView(View):
+    """Motion of each piece and the measured torque or current.
 
     Attributes
     ----------
     laws
-        Of the effects that may take part.
+        Laws of the effects that may be named.
     unknown
-        Bench parameters that are fitted: inertias and the gravity torque.
-    load_angle_known, phases_shared
-        The motor position tells the load's angle, so gravity's direction; it is absolute, so one
-        phase holds for all recordings. Without either, sine and cosine are free per recording.
+        Free bench parameters: inertias and the gravity torque.
+    load_angle_known
+        Whether the motor position gives the load's angle, and with it gravity's direction.
+    phases_shared
+        Whether the motor position is absolute, so that one phase holds in all recordings.
     skew_s, width
-        Around which all is linear: lag of the current or position, s; of dry friction, rad/s.
+        Values around which the model is linear: lag of the current or position, s, and the width of
+        dry friction, rad/s.
     slope
-        Change of the prediction by one second of skew, in the channel's unit, (N,).
+        Change of the prediction per second of skew, in the channel's unit, (N,).
     shapes
-        Of effects with a shape, values tried in place of the grid over all there may be.
+        Values of a shape that replace its grid, by effect.
     orders, lines
-        Of the motor's turning, and frequencies in Hz.
-    columns_bench, discrepancy, cache
-        The bench as fitted, that columns are made of; what nothing explains, as it is known so far,
-        (N,); signals that were computed.
+        Motor orders, and lines in time, Hz.
+    columns_bench
+        Bench with fitted parameters, from which columns are made.
+    discrepancy
+        Present estimate of the discrepancy, (N,).
     """
 
     parts: tuple[Compared, ...]
@@ -232,12 +236,17 @@ class InverseView:
 
     @cached_property
     def rows(self) -> Rows:
-        """Of the pieces without their motion."""
+        """Rows of all pieces."""
         return Rows(tuple(part.piece for part in self.parts))
 
     @cached_property
+    def shown(self) -> np.ndarray:
+        """Mask of the rows below the cut-off, held out or not, (N,)."""
+        return self.rows.where(lambda piece: piece.shown)
+
+    @cached_property
     def unit(self) -> float:
-        """N m in one unit of the channel: K_t where current is compared."""
+        """N m in one unit of the channel: K_t if current is compared."""
         current = self.rows.pieces[0].channel == MOTOR_CURRENT
         return self.bench.value(TORQUE_CONSTANT) if current else 1.0
 
@@ -248,7 +257,7 @@ class InverseView:
 
     @cached_property
     def _ripple(self) -> str | None:
-        """The effect of any order of the motor."""
+        """Name of the effect of any motor order."""
         return next((name for name, law in self.laws.items() if law.scanned == ORDER), None)
 
     @cached_property
@@ -257,65 +266,75 @@ class InverseView:
         return [part for part in self.parts if part.piece.use == "used"]
 
     @cached_property
-    def _moved(self) -> list[Motion]:
-        """Motion as the compared channel shows it: a channel that lags shows what was."""
+    def _motions(self) -> list[Motion]:
+        """Motion of each part as the compared channel shows it: earlier, if the channel lags."""
         key = ("motions", self.skew_s)
         if key not in self.cache:
-            every = (part.motion for part in self.parts)
-            self.cache[key] = [m.shifted(self.skew_s) if self.skew_s else m for m in every]
+            motions = (part.motion for part in self.parts)
+            self.cache[key] = [m.shifted(self.skew_s) if self.skew_s else m for m in motions]
         return [replace(m, friction_width=self.width) for m in self.cache[key]]
 
-    def _seen(
+    def _compared(
         self,
         key: Hashable,
-        make: Callable[[int, Motion], FloatArray],
+        signal_of: Callable[[int, Motion], FloatArray],
         *,
         width: float = 0.0,
         above: bool = False,
     ) -> FloatArray:
-        """A signal along the motion, or columns, as compared, (N, …); computed once.
+        """A signal along the motion, or columns, as it is compared, (N, …); computed once.
 
-        Zero above the cut-off, where little but waves is known, unless ``above``.
+        Above the cut-off it is zero unless ``above``, because only waves are known there.
         """
 
         def of_piece(i: int) -> FloatArray:
-            part, made = self.parts[i], make(i, self._moved[i])
+            part, signal = self.parts[i], signal_of(i, self._motions[i])
             if part.window.above and not above:
-                return np.zeros((part.piece.measured.size, *made.shape[1:]))
-            return part.window(made)
+                return np.zeros((part.piece.measured.size, *signal.shape[1:]))
+            return part.window(signal)
 
-        whole = (key, self.skew_s, width)
-        if whole not in self.cache:
-            self.cache[whole] = self.rows.stack(of_piece)
-        signals: FloatArray = self.cache[whole]
+        whole_key = (key, self.skew_s, width)
+        if whole_key not in self.cache:
+            self.cache[whole_key] = self.rows.stack(of_piece)
+        signals: FloatArray = self.cache[whole_key]
         return signals
 
     def _torque(
-        self, key: Hashable, make: Callable[[Motion], FloatArray], **how: Any
+        self, key: Hashable, torque_of: Callable[[Motion], FloatArray], **options: Any
     ) -> FloatArray:
-        """The same of a torque, in the unit of the channel."""
-        return self._seen(key, lambda _, motion: make(motion) / self.unit, **how)
+        """A torque along the motion, in the unit of the channel, as it is compared, (N, …)."""
+        return self._compared(key, lambda _, motion: torque_of(motion) / self.unit, **options)
 
     def _signal(self, name: str, given: Mapping[str, float], *, above: bool = False) -> FloatArray:
+        """An effect with given parameters, (N,)."""
         law, bench = self.laws[name], self.columns_bench or self.bench
         width = self.width if "direction" in effect_named(name).depends_on else 0.0
         key = (name, *given.items(), *(bench.value(fitted) for fitted in (*INERTIAS, GRAVITY)))
         return self._torque(key, lambda m: law.signal(m, bench, given), width=width, above=above)
 
     def _waves(self, name: str, shapes: Mapping[str, float], *, above: bool = False) -> FloatArray:
-        """Sine and cosine of an effect's, of unit size, (N, 2)."""
+        """Sine and cosine of a periodic effect of unit amplitude, (N, 2)."""
         amplitude = self.laws[name].amplitude
         phases = ({amplitude: 1.0, PHASE: phase, **shapes} for phase in (0.0, 0.5 * math.pi))
         return np.column_stack([self._signal(name, given, above=above) for given in phases])
 
     def _ripples(self, order: float) -> FloatArray:
-        """Those of the effect of any order, (N, 2)."""
+        """Sine and cosine of a motor order, (N, 2)."""
         assert self._ripple is not None
         return self._waves(self._ripple, {ORDER: order}, above=True)
 
+    def _hum(self, hertz: float) -> FloatArray:
+        """Sine and cosine of a line in time, (N, 2)."""
+
+        def waves(_: int, motion: Motion) -> FloatArray:
+            phase = 2.0 * math.pi * hertz * motion.time_s
+            return np.column_stack([np.sin(phase), np.cos(phase)])
+
+        return self._compared(("line", hertz), waves)
+
     @cached_property
     def base(self) -> FloatArray:
-        """The nominal bench at the skew, (N,)."""
+        """Prediction of the nominal bench at the skew, (N,)."""
         known = {} if self.load_angle_known else {GRAVITY: 0.0}
         bench = self.bench.with_parameters(**known)
         rubs = any("direction" in effect_named(e.name).depends_on for e in bench.effects)
@@ -323,25 +342,25 @@ class InverseView:
         def torque(i: int, motion: Motion) -> FloatArray:
             return np.asarray(required_torque(motion, bench) + self.parts[i].known) / self.unit
 
-        return self._seen("base", torque, width=self.width if rubs else 0.0, above=True)
+        return self._compared("base", torque, width=self.width if rubs else 0.0, above=True)
 
     @cached_property
     def _base_above(self) -> FloatArray:
-        """Above the cut-off: the bench's own ripples, and the part of the inertia's torque along
-        the orders that are tried, (N,).
+        """Prediction above the cut-off, (N,): ripples of the bench, and the torque of the inertia
+        along the orders that are tried.
 
-        A ripple that the loop is too slow for is in the motion, not in the current. Of the
-        acceleration up there little but noise is known, yet along one order little of that is left.
+        A ripple that the loop cannot follow is in the motion, not in the current. The acceleration
+        there is mostly noise, but little of the noise lies along one order.
         """
-        own = [
+        ripples = [
             (TORQUE_LAWS[e.name], e.complete())
             for e in self.bench.effects
             if e.name in TORQUE_LAWS and TORQUE_LAWS[e.name].scanned == ORDER
         ]
 
         def waves(motion: Motion) -> FloatArray:
-            every = (law.signal(motion, self.bench, given) for law, given in own)
-            return np.asarray(sum(every, np.zeros_like(motion.angle)))
+            signals = (law.signal(motion, self.bench, given) for law, given in ripples)
+            return np.asarray(sum(signals, np.zeros_like(motion.angle)))
 
         total = self._torque("own waves", waves, above=True).copy()
         for i, rows in enumerate(self.rows.slices):
@@ -352,30 +371,29 @@ class InverseView:
         return total
 
     def _is_quiet(self, i: int, order: float) -> bool:
-        """Whether J (n ω)² σ, by noise σ of the position, is a small part of the torque's noise."""
+        """Whether J (n ω)² σ, with position noise σ, is small compared with the torque's noise."""
         ratio, part = self.bench.value("gear_ratio"), self.parts[i]
         inertia = self.bench.value("motor_inertia_kg_m2")
         inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
         frequency = order * np.abs(part.along(part.motion.speed))
-        shown = frequency[frequency > 2.0 * math.pi * part.window.low_pass.cutoff_hz]
-        if not shown.size:
+        above = frequency[frequency > 2.0 * math.pi * part.window.low_pass.cutoff_hz]
+        if not above.size:
             return True
-        made = inertia * math.sqrt(float(np.mean(shown**4))) * part.window.position_noise_rad
-        return made < QUIET * self.unit * noise_of(self.rows.measured[self.rows.slices[i]])
+        noise = inertia * math.sqrt(float(np.mean(above**4))) * part.window.position_noise_rad
+        return noise < QUIET * self.unit * noise_of(self.rows.measured[self.rows.slices[i]])
 
     @cached_property
     def _nuisances(self) -> dict[str, FloatArray]:
-        """What is fitted of the bench itself, (N,) each."""
-        names = dict.fromkeys(piece.name for piece in self.rows.pieces)
-        made = {name: self._parameter(name) for name in self.unknown}
+        """Columns of the free bench parameters and of free gravity, (N,) each."""
+        columns = {name: self._parameter(name) for name in self.unknown}
         if self.gravity_free:
-            for name in names:
+            for name in dict.fromkeys(piece.name for piece in self.rows.pieces):
                 sine, cosine = self._gravity.T * self.rows.of(name)
-                made |= {f"gravity_sine@{name}": sine, f"gravity_cosine@{name}": cosine}
-        return made
+                columns |= {f"gravity_sine@{name}": sine, f"gravity_cosine@{name}": cosine}
+        return columns
 
     def _parameter(self, name: str) -> FloatArray:
-        """Of one unit of an inertia or of gravity, (N,)."""
+        """Column of an inertia or of gravity, (N,)."""
         ratio, ahead = self.bench.value("gear_ratio"), self.bench.value("gravity_angle_rad")
         laws: dict[str, Callable[[Motion], FloatArray]] = {
             INERTIAS[0]: lambda m: m.acceleration,
@@ -386,7 +404,7 @@ class InverseView:
 
     @property
     def _gravity(self) -> FloatArray:
-        """Of one N m, down and across, (N, 2)."""
+        """Columns of gravity in its direction and across, (N, 2)."""
         ratio, ahead = self.bench.value("gear_ratio"), self.bench.value("gravity_angle_rad")
         across = self._torque("across", lambda m: np.cos(m.angle / ratio + ahead) / ratio)
         return np.column_stack([self._parameter(GRAVITY), across])
@@ -395,13 +413,11 @@ class InverseView:
 
     @cached_property
     def model(self) -> AffineModel:
-        """Around the skew and the width."""
+        """Model at the skew and the width."""
         base = self.base if self.slope is None else self.base - self.skew_s * self.slope
-        if not all(part.piece.shown for part in self.parts):
-            base = np.where(self.rows.where(lambda piece: piece.shown), base, self._base_above)
         return AffineModel(
             self.rows,
-            base,
+            base if self.shown.all() else np.where(self.shown, base, self._base_above),
             self._nuisances,
             tuple(self._candidates()),
             (*self._torques(), self._drift()),
@@ -420,7 +436,7 @@ class InverseView:
                     yield candidate_of(law, name, amplitude, (look,))
             elif law.scanned == ORDER:
                 for line in self.orders:
-                    looks = self._alternatives(ORDER, line, self._ripples)
+                    looks = _alternatives(ORDER, line, self._ripples)
                     label = f"{name} {line.middle:.6g}"
                     yield candidate_of(law, name, amplitude, looks, label=label, **wave)
             elif effect_named(name).is_periodic:
@@ -430,76 +446,54 @@ class InverseView:
                 yield candidate_of(law, name, parameters, tuple(self._looks(name, parameters)))
         yield from self._wrong_values()
         for line in self.lines:
-            looks = self._alternatives("frequency_hz", line, self._hum)
+            looks = _alternatives("frequency_hz", line, self._hum)
             label = f"line {line.middle:.6g} Hz"
-            apart = Candidate(
+            separate = Candidate(
                 label, "line", label, ("amplitude",), looks, LINE, is_wave=True, own_phase=True
             )
-            yield apart
+            yield separate
             if not own_phase and len(self.rows.recordings) > 1:
-                # What a motion excites has one phase in all recordings that begin with it.
-                excludes = frozenset({label})
-                yield replace(apart, label=f"{label}, in phase", own_phase=False, excludes=excludes)
-
-    def _alternatives(
-        self, shape: str, line: Line, make: Callable[[float], FloatArray]
-    ) -> tuple[Look, ...]:
-        """Of a wave; ``make``: its columns by a value of its shape."""
-        every = zip(line.values, line.weights, strict=True)
-        return tuple(Look({shape: value}, make(value), weight) for value, weight in every)
+                # What a motion excites has the same phase in all recordings that begin with it.
+                excludes, label = frozenset({label}), f"{label}, in phase"
+                yield replace(separate, label=label, own_phase=False, excludes=excludes)
 
     def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
-        law = self.laws[name]
-        grid = self._values(name)
+        """A form for each value of an effect's shape."""
+        law, grid = self.laws[name], self._values(name)
         for value in grid or (math.nan,):
             shape = {} if law.scanned is None or not grid else {law.scanned: value}
-            off = dict.fromkeys(parameters, 0.0)
-            every = [self._signal(name, {**off, one: 1.0, **shape}) for one in parameters]
-            yield Look(shape, np.column_stack(every), 1.0 / max(1, len(grid)))
+            zero = dict.fromkeys(parameters, 0.0)
+            columns = [self._signal(name, {**zero, p: 1.0, **shape}) for p in parameters]
+            yield Look(shape, np.column_stack(columns), 1.0 / max(1, len(grid)))
 
     def _wrong_values(self) -> Iterator[Candidate]:
-        """Inertia and gravity that the bench states without a tolerance, as they might be wrong."""
+        """Wrong inertia and gravity, if the bench states them without a tolerance."""
         names = [] if set(self.unknown) & set(INERTIAS) else [INERTIAS[0]]
         if self.load_angle_known and GRAVITY not in self.unknown:
             names.append(GRAVITY)
         for name in names:
             look = Look({}, self._parameter(name)[:, None])
             yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
-        if not self.load_angle_known and not self.gravity_free and self._travel_rad > TURNS:
-            yield Candidate(
-                "gravity",
-                "gravity",
-                GRAVITY,
-                (GRAVITY,),
-                (Look({}, self._gravity),),
-                WRONG_VALUE,
-                is_wave=True,
-                own_phase=True,
-            )
+        travel_rad = self._longest_rad / self.bench.value("gear_ratio")
+        if not self.load_angle_known and not self.gravity_free and travel_rad > TURNS:
+            looks = (Look({}, self._gravity),)
+            gravity = Candidate("gravity", "gravity", GRAVITY, (GRAVITY,), looks, WRONG_VALUE)
+            yield replace(gravity, is_wave=True, own_phase=True)
 
-    def _hum(self, hertz: float) -> FloatArray:
-        """Sine and cosine of a line in time, as compared, (N, 2)."""
-
-        def waves(_: int, motion: Motion) -> FloatArray:
-            phase = 2.0 * math.pi * hertz * motion.time_s
-            return np.column_stack([np.sin(phase), np.cos(phase)])
-
-        return self._seen(("line", hertz), waves)
-
-    # What nothing explains
+    # The discrepancy
 
     def _torques(self) -> Iterator[Discrepancy]:
-        """Over each variable."""
+        """A torque over each variable."""
         ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
-            every = np.concatenate(
+            values = np.concatenate(
                 [
                     part.along(variable_of(variable, motion, ratio))
-                    for part, motion in zip(self.parts, self._moved, strict=True)
+                    for part, motion in zip(self.parts, self._motions, strict=True)
                     if part.piece.use == "used" and part.piece.shown
                 ]
             )
-            reach = (float(every.min()), float(every.max()))
+            reach = (float(values.min()), float(values.max()))
             series = Series(variable, period, reverses, LEARNED_HARMONICS, reach)
 
             def columns(motion: Motion, series: Series = series) -> FloatArray:
@@ -510,50 +504,41 @@ class InverseView:
             yield Discrepancy(series.kind, self._torque(key, columns), series)
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
-        longest = max(float(np.ptp(part.motion.angle)) for part in self.used)
+        """Variable, period, and whether the torque reverses with the speed."""
         turn = 2.0 * math.pi
-        for reverses in (False, True):
-            yield "load_angle", self._load_period, reverses
-        if longest >= turn and (self.phases_shared or len(self.rows.recordings) == 1):
-            yield "motor_angle", turn, False
-        fastest = max(float(np.abs(part.motion.speed).max()) for part in self.used)
-        for reverses in (False, True):
-            yield "motor_speed", 4.0 * fastest, reverses
-
-    @cached_property
-    def _load_period(self) -> float:
-        """Twice the way of the load, rad; where that is longer, what repeats with it does over its
-        turn."""
+        # Twice the load's travel; beyond two turns, whatever repeats does so over one.
         angles = np.concatenate([part.motion.angle for part in self.used])
-        way, turn = float(np.ptp(angles)) / self.bench.value("gear_ratio"), 2.0 * math.pi
-        return turn if way >= 2.0 * turn else 2.0 * way
+        travel = float(np.ptp(angles)) / self.bench.value("gear_ratio")
+        load_period = turn if travel >= 2.0 * turn else 2.0 * travel
+        fastest = max(float(np.abs(part.motion.speed).max()) for part in self.used)
+        yield from (("load_angle", load_period, reverses) for reverses in (False, True))
+        if self._longest_rad >= turn and (self.phases_shared or len(self.rows.recordings) == 1):
+            yield "motor_angle", turn, False
+        yield from (("motor_speed", 4.0 * fastest, reverses) for reverses in (False, True))
 
     def _drift(self) -> Discrepancy:
-        """A torque that drifts in each recording; where that is held out, nothing says how."""
+        """A torque that drifts in each fitted recording."""
 
         def waves(_: int, motion: Motion) -> FloatArray:
             x = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
             k = np.arange(1, DRIFT_ORDERS + 1)
             return np.asarray(np.cos(math.pi * x[:, None] * k) / k)
 
-        columns = self._seen("drift", waves) * self.rows.used[:, None]
+        columns = self._compared("drift", waves) * self.rows.used[:, None]
         return Discrepancy("time", self.rows.by_recording(columns))
 
     # Towards the fit
 
     def coarse(self) -> InverseView:
-        """With width and orders."""
+        """The view with width, orders and lines."""
         return self._with_width()._with_lines()
 
     def prepared(self) -> InverseView:
-        """With width, orders and the slope of a skew."""
-        view = self.coarse()
-        if SKEW in view.laws:
-            view = replace(view, slope=view._slopes())
-        return view
+        """The view with width, orders, lines and the slope of a skew."""
+        return self.coarse()._with_slope()
 
     def refined(self, inference: Inference) -> InverseView:
-        """Around the posterior's skew, inertia and shapes."""
+        """The view at the posterior's skew, parameters and shapes."""
         values = {
             label: inference.values(label)
             for label, p in inference.posterior.inclusion.items()
@@ -563,41 +548,34 @@ class InverseView:
         for name in values:
             if name in self.laws and self._values(name):
                 shapes[name] = self._finer(inference, name, self._values(name))
-        orders = tuple(self._finer_line(inference, line, ORDER) for line in self.orders)
-        lines = tuple(self._finer_line(inference, line, "frequency_hz") for line in self.lines)
-        fitted = {
-            name: self.bench.value(name) + inference.nuisance(name).value for name in self.unknown
-        }
-        for name in (*INERTIAS, GRAVITY):
-            if name in values:
-                fitted[name] = self.bench.value(name) + values[name][name].value
+        orders = tuple(_finer_line(inference, line, ORDER) for line in self.orders)
+        lines = tuple(_finer_line(inference, line, "frequency_hz") for line in self.lines)
+        fitted = {name: inference.change(name).value for name in self.unknown}
+        fitted |= {n: values[n][n].value for n in (*INERTIAS, GRAVITY) if n in values}
+        fitted = {name: self.bench.value(name) + change for name, change in fitted.items()}
         bench = self.bench.with_parameters(**{k: v for k, v in fitted.items() if v > 0.0})
-        view = replace(self, shapes=shapes, orders=orders, lines=lines, columns_bench=bench)
         skew = next(iter(values[SKEW].values())).value if SKEW in values else 0.0
-        view = replace(view, skew_s=skew, discrepancy=inference.discrepancy())._with_width()
-        return replace(view, slope=view._slopes()) if SKEW in self.laws else view
+        view = replace(
+            self,
+            shapes=shapes,
+            orders=orders,
+            lines=lines,
+            columns_bench=bench,
+            skew_s=skew,
+            discrepancy=inference.discrepancy(),
+        )
+        return view._with_width()._with_slope()
 
     def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
-        law = self.laws[name]
-        assert law.scanned is not None
-        best = inference.values(name)[law.scanned].value
-        near = int(np.searchsorted(grid, best))
+        """Grid of a shape between the neighbours of its posterior mean."""
+        scanned = self.laws[name].scanned
+        assert scanned is not None
+        near = int(np.searchsorted(grid, inference.values(name)[scanned].value))
         low, high = grid[max(0, near - 1)], grid[min(len(grid) - 1, near + 1)]
-        if not low < high:
-            return grid
-        return tuple(np.geomspace(low, high, FINER + 2).tolist())
-
-    def _finer_line(self, inference: Inference, line: Line, shape: str) -> Line:
-        for label, candidate in inference.labels.items():
-            mine = candidate.looks[0].shapes.get(shape) == line.values[0]
-            if mine and inference.posterior.inclusion[label] > 0.5:
-                sd = inference.values(label)[shape].sd
-                _, look = inference.terms[inference.posterior.likeliest(label)].source
-                return line.finer(look.shapes[shape], sd)
-        return line
+        return tuple(np.geomspace(low, high, FINER + 2).tolist()) if low < high else grid
 
     def _values(self, name: str) -> tuple[float, ...]:
-        """Of the shape of an effect that has one, those that are tried."""
+        """Values of an effect's shape that are tried; empty without a shape."""
         return self.shapes.get(name, self._grid(name))
 
     def _grid(self, name: str) -> tuple[float, ...]:
@@ -605,19 +583,18 @@ class InverseView:
 
     @cached_property
     def speed_rad_per_s(self) -> float:
-        """RMS speed of the motor over what is fitted."""
+        """RMS speed of the motor in the shown parts that are fitted."""
         speeds = [part.along(part.motion.speed) for part in self.used if part.piece.shown]
         return math.sqrt(float(np.mean(np.concatenate(speeds) ** 2)))
 
     @cached_property
-    def _travel_rad(self) -> float:
-        """Way of the load over what is fitted."""
-        way = max(float(np.ptp(part.motion.angle)) for part in self.used)
-        return way / self.bench.value("gear_ratio")
+    def _longest_rad(self) -> float:
+        """Longest travel of the motor in a fitted recording."""
+        return max(float(np.ptp(part.motion.angle)) for part in self.used)
 
     @cached_property
     def _linear(self) -> FloatArray:
-        """Nuisances, effects linear in one amplitude, waves of the orders found, (N, p)."""
+        """Columns of nuisances, effects with one linear amplitude, and motor orders, (N, p)."""
         columns = [column[:, None] for column in self._nuisances.values()]
         for name, law in self.laws.items():
             if name == SKEW or effect_named(name).is_periodic:
@@ -629,44 +606,42 @@ class InverseView:
 
     @cached_property
     def _by_linear(self) -> FloatArray:
-        """Of these that fit the shown rows best beside what nothing explains, (p,)."""
+        """Their coefficients by least squares, (p,)."""
         shown, residual = self.rows.shown, self.rows.measured - self.discrepancy - self.base
         return least_squares(self._linear[shown], residual[shown])
 
     def fitted(self) -> FloatArray:
-        """Prediction by all that is linear, (N,)."""
+        """Prediction of the linear fit, (N,)."""
         return np.asarray(self.base + self._linear @ self._by_linear)
 
-    def least_residual(self) -> float:
-        """Sum of squares that these leave."""
-        residual = self.rows.measured - self.discrepancy - self.fitted()
-        return float(np.sum(residual[self.rows.shown] ** 2))
-
     def _with_width(self) -> InverseView:
+        """The view with the best width, if any effect depends on the direction of motion."""
         names = (*self.laws, *(e.name for e in self.bench.effects))
         if not any("direction" in effect_named(n).depends_on for n in names):
             return self
-        unit = self.speed_rad_per_s
-        width = _minimum(
-            lambda w: replace(self, width=w).least_residual(), [unit * w for w in WIDTH_GRID]
-        )
-        return replace(self, width=width)
 
-    def _slopes(self) -> FloatArray:
-        """Change of the prediction by a second of skew, all that is linear as it fits, (N,)."""
+        def cost(width: float) -> float:
+            fitted = replace(self, width=width).fitted()
+            residual = self.rows.measured - self.discrepancy - fitted
+            return float(np.sum(residual[self.rows.shown] ** 2))
+
+        return replace(self, width=_minimum(cost, [self.speed_rad_per_s * w for w in WIDTH_GRID]))
+
+    def _with_slope(self) -> InverseView:
+        """The view with the change of the linear fit per second of skew, if one is sought."""
+        if SKEW not in self.laws:
+            return self
         step = 1e-2 / self.parts[0].window.low_pass.cutoff_hz
-        made = [
+        later, earlier = (
             view.base + view._linear @ self._by_linear
             for view in (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
-        ]
-        slopes = (made[0] - made[1]) / (2.0 * step)
-        return np.where(self.rows.where(lambda piece: piece.shown), slopes, 0.0)
+        )
+        return replace(self, slope=np.where(self.shown, (later - earlier) / (2.0 * step), 0.0))
 
     def _rests(self) -> list[OrderedRest]:
-        """What all that is linear leaves, over the motor's angle."""
+        """Residuals of the linear fit over the motor angle."""
         below = replace(self, orders=()).fitted()
-        shown = self.rows.where(lambda piece: piece.shown)
-        residual = self.rows.measured - np.where(shown, below, self._base_above)
+        residual = self.rows.measured - np.where(self.shown, below, self._base_above)
         return [
             OrderedRest(
                 part.piece.name,
@@ -684,62 +659,59 @@ class InverseView:
         ]
 
     def _with_lines(self) -> InverseView:
-        """With the orders and frequencies that stand out most."""
+        """The view with the orders and frequencies that stand out most."""
         rests = self._rests()
-        turning = peaks(rests, self.phases_shared, MOST_ORDERS) if self._ripple else []
+        orders = peaks(rests, self.phases_shared, MOST_ORDERS) if self._ripple else []
+        turn = 2.0 * math.pi
         clock = [
             replace(
                 r,
-                angle=2.0 * math.pi * (r.time_s - r.time_s[0]),
-                speed=np.full(r.time_s.size, 2.0 * math.pi),
+                angle=turn * (r.time_s - r.time_s[0]),
+                speed=np.full(r.time_s.size, turn),
                 step_rad=0.0,
             )
             for r in rests
             if not r.above
         ]
-        # Speeds are round numbers as mains and clocks are: at one speed what is a whole order may
-        # be such a frequency as well.
-        round_one = max((line.anywhere + line.whole for line in turning), default=0.0)
-        passing = [
-            replace(line, anywhere=max(line.anywhere, round_one * len(line.values)))
+        # Speeds are round numbers, and so are the frequencies of mains and clocks: at one speed, a
+        # whole order may be such a frequency.
+        whole = max((line.anywhere + line.whole for line in orders), default=0.0)
+        lines = [
+            replace(line, anywhere=max(line.anywhere, whole * len(line.values)))
             for line in peaks(clock, False, MOST_LINES, whole=False)
             if not self._moves_at(line.middle)
         ]
-        return replace(self, orders=tuple(turning), lines=tuple(passing))
+        return replace(self, orders=tuple(orders), lines=tuple(lines))
 
     def _moves_at(self, hertz: float) -> bool:
-        """Whether the axis itself accelerates at one frequency alone: a torque there is inertia,
-        friction or a spring before it is a line in time."""
+        """Whether the axis accelerates at this frequency alone. A torque at this frequency is then
+        inertia, friction or a spring rather than a line in time."""
         shown = self.rows.shown
-        own, waves = self._parameter(INERTIAS[0])[shown], self._hum(hertz)[shown]
-        residual = own - waves @ least_squares(waves, own)
-        return float(residual @ residual) < 0.1 * float(own @ own)
+        inertia, waves = self._parameter(INERTIAS[0])[shown], self._hum(hertz)[shown]
+        residual = inertia - waves @ least_squares(waves, inertia)
+        return float(residual @ residual) < 0.1 * float(inertia @ inertia)
 
-    # What is told
+    # The answer
 
     def reportable(self, inference: Inference, label: str) -> bool:
-        """Not a skew that may be below half a sample, which is what a controller holds between
-        samples; nor a shape at an end of its range, which is another law in disguise."""
+        """Whether a candidate says something about the joint.
+
+        A skew below half a sample is the controller's hold. A shape at an end of its range is
+        another law in disguise.
+        """
         if label == SKEW:
             time = self.parts[0].motion.time_s
             (skew,) = inference.values(label).values()
-            surely = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
-            return surely > 0.5 * float(time[1] - time[0])
-        whole = self._grid(label) if label in self.laws else ()
-        scanned = self.laws[label].scanned if whole else None
-        if scanned is None:
-            return True
-        value = inference.values(label)[scanned].value
-        return whole[0] < value < whole[-1]
-
-    def settled(self, labels: Sequence[str]) -> InverseView:
-        """Itself: it is linear but for shapes, which are as the posterior has them."""
-        return self
+            least = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
+            return least > 0.5 * float(time[1] - time[0])
+        grid = self._grid(label) if label in self.laws else ()
+        scanned = self.laws[label].scanned if grid else None
+        return scanned is None or grid[0] < inference.values(label)[scanned].value < grid[-1]
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
     ) -> Bench | None:
-        """With what was named and learned; ``None`` if a phase of it belongs to a recording."""
+        """The bench with everything named and learned; ``None`` if a phase is a recording's own."""
         effects = [
             BenchEffect(name, {k: EffectParameterValue(v) for k, v in parameters.items()})
             for name, parameters in named.items()
@@ -752,8 +724,26 @@ class InverseView:
         return bench.with_parameters(**fitted).with_effects(*bench.effects, *effects)
 
 
+def _alternatives(
+    shape: str, line: Line, columns_of: Callable[[float], FloatArray]
+) -> tuple[Look, ...]:
+    """A form for each value of a line's shape; ``columns_of``: its columns at a value."""
+    pairs = zip(line.values, line.weights, strict=True)
+    return tuple(Look({shape: value}, columns_of(value), weight) for value, weight in pairs)
+
+
+def _finer_line(inference: Inference, line: Line, shape: str) -> Line:
+    """A line around its most probable value, if it is probable."""
+    for label, candidate in inference.labels.items():
+        is_line = candidate.shapes.get(shape) == line.values[0]
+        if is_line and inference.posterior.inclusion[label] > 0.5:
+            _, look = inference.terms[inference.posterior.likeliest(label)].source
+            return line.finer(look.shapes[shape], inference.values(label)[shape].sd)
+    return line
+
+
 def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
-    """The value of the least cost: a grid, then a search around its best."""
+    """Value of least cost, on a grid and then between its neighbours."""
     costs = [cost(value) for value in grid]
     best = int(np.argmin(costs))
     low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
@@ -764,18 +754,18 @@ def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
 
 
 LARGEST_SHARE = 0.01
-"""Of noise in the power of the acceleration: so much too small an inertia comes out."""
+"""Largest share of noise in the power of the acceleration. It lowers the inertia by as much."""
 
 BANDS_PER_OCTAVE = 3
 FEWEST_LINES = 10
-"""Of a spectrum in a band."""
+"""Smallest number of spectral lines in a band."""
 
 
 def resolved_hz(positions: Sequence[FloatArray], period_s: float) -> float:
-    """The frequency up to which noise of the position has no more than a share in the acceleration.
+    """Highest frequency below which noise of the position is a small share of the acceleration.
 
-    Noise of the acceleration lowers the inertia by its share in the acceleration's power (errors in
-    variables): Σ f⁴ σ² over the frequencies below, over Σ f⁴ |θ|².
+    Noise lowers the inertia by its share in the power of the acceleration (errors in variables):
+    Σ f⁴ σ² over Σ f⁴ |θ|², for all lower frequencies.
     """
     frequencies, powers, noises = [], [], []
     for position in positions:
@@ -789,36 +779,30 @@ def resolved_hz(positions: Sequence[FloatArray], period_s: float) -> float:
     order = np.argsort(frequency, kind="stable")
     power, noise = (np.cumsum(np.concatenate(parts)[order]) for parts in (powers, noises))
     within = np.flatnonzero(noise <= LARGEST_SHARE * power)
-    # Below four times what the filter carries from the ends nothing would be left to compare.
-    lasting = period_s * max(position.size for position in positions)
-    least = 4.0 * END_PERIODS / lasting
-    return max(least, float(frequency[order][within[-1]]) if within.size else 0.0)
+    # Below four times the filter's reach from the ends, no samples would be left to compare.
+    duration_s = period_s * max(position.size for position in positions)
+    lowest = 4.0 * END_PERIODS / duration_s
+    return max(lowest, float(frequency[order][within[-1]]) if within.size else 0.0)
 
 
 def coherent_hz(resolved: InverseView) -> float | None:
-    """The end of the highest third of an octave that the prediction explains more than half of.
+    """Upper end of the highest third of an octave of which the linear fit explains over half.
 
-    With T the spectrum of the measurement and R that of what all that is linear, and the motor
-    orders that stand out, leave of it: Σ|R|² < ½ Σ|T|². ``None`` if no band has that.
-
-    Parameters
-    ----------
-    resolved
-        The view behind the highest cut-off that resolves the motion.
+    With T the spectrum of the measurement and R that of the residual: Σ|R|² < ½ Σ|T|². ``None`` if
+    there is no such band. ``resolved``: the view at the highest cut-off that resolves the motion.
     """
     view = resolved.coarse()
     rows, fitted = view.rows, view.fitted()
-    frequencies, measured, residual_power = [], [], []
+    frequencies, totals, rests = [], [], []
     for piece, own in zip(rows.pieces, rows.slices, strict=True):
         if piece.use == "used" and piece.shown:
-            rest = np.zeros(piece.measured.size)
+            residual = np.zeros(piece.measured.size)
             counts = slice(None) if piece.excluded is None else ~piece.excluded
-            rest[counts] = rows.measured[own] - fitted[own]
-            frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
-            measured.append(_power(piece.measured))
-            residual_power.append(_power(rest))
-    frequency, total = np.concatenate(frequencies), np.concatenate(measured)
-    rest = np.concatenate(residual_power)
+            residual[counts] = rows.measured[own] - fitted[own]
+            frequencies.append(np.fft.rfftfreq(residual.size, piece.period_s))
+            totals.append(_power(piece.measured))
+            rests.append(_power(residual))
+    frequency, total, rest = (np.concatenate(x) for x in (frequencies, totals, rests))
     top = view.parts[0].window.low_pass.cutoff_hz
     ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
     while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
@@ -842,17 +826,11 @@ MOTION_ALONE = (
 )
 
 ONE_WAY = 0.9
-"""Net over total travel from which on a set of recordings turns one way."""
+"""Net over total travel from which a set of recordings turns one way."""
 
 
 def comparison(task: Task) -> Comparison:
-    """What a configuration asks for.
-
-    Raises
-    ------
-    UserError
-        If bench, recordings or unknowns do not suit the method.
-    """
+    """Comparison of a task; raises ``UserError`` if bench or recordings do not suit the method."""
     require_rigid(task)
     config, bench, asked = task.config, task.bench, task.config.comparison
     channel = compared_channel(task, CHANNELS, MOTION_ALONE)
@@ -860,32 +838,32 @@ def comparison(task: Task) -> Comparison:
     _require_position(config, recordings)
     unknown = unknown_parameters(task)
     unit_tolerance = _tolerance_of_unit(task, channel)
-    every = TORQUE_LAWS
+    laws: Mapping[str, RigidLaw] = TORQUE_LAWS
     if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
-        every = without_load_angle(every)
-    every = within_turns(every, turns_of(recordings))
-    left_out = uncomputable(every, bench, asked.load_angle_known)
-    laws = {name: law for name, law in every.items() if name not in left_out}
+        laws = without_load_angle(laws)
+    laws = within_turns(laws, turns_of(recordings))
+    left_out = uncomputable(laws, bench, asked.load_angle_known)
+    laws = {name: law for name, law in laws.items() if name not in left_out}
     chosen = wanted(config, bench, laws)
 
     def view_below(cutoff_hz: float) -> InverseView:
-        pieces = [
+        parts = [
             part
             for entry, recording in zip(config.recordings, recordings, strict=True)
             for part in compared(
-                recording, channel, USES_OF[entry.use], cutoff_hz, config.comparison.known_torque
+                recording, channel, USES_OF[entry.use], cutoff_hz, asked.known_torque
             )
         ]
-        made = InverseView(
-            tuple(pieces),
+        view = InverseView(
+            tuple(parts),
             bench,
             {name: laws[name] for name in chosen},
             unknown,
             asked.load_angle_known,
             asked.motor_angle_known,
         )
-        _require_motion(made, recordings)
-        return made
+        _require_motion(view, recordings)
+        return view
 
     cutoff = asked.cutoff_hz or _cutoff_hz(recordings, view_below)
     view = view_below(cutoff)
@@ -903,7 +881,7 @@ def comparison(task: Task) -> Comparison:
 
 
 def _tolerance_of_unit(task: Task, channel: str) -> float:
-    """Relative tolerance of the torque of one unit of the channel."""
+    """Relative tolerance of the torque in one unit of the channel."""
     bench = task.bench
     if channel != MOTOR_CURRENT:
         return 0.0
@@ -921,7 +899,7 @@ def _tolerance_of_unit(task: Task, channel: str) -> float:
 def _cutoff_hz(
     recordings: Sequence[Recording], view_below: Callable[[float], InverseView]
 ) -> float:
-    """Up to where the bench explains half of what is measured, or the motion is resolved."""
+    """Frequency up to which the bench explains half of the signal, or the motion is resolved."""
     period = max(recording.sampling_period_s for recording in recordings)
     positions = [r.channels[MOTOR_POSITION] for r in recordings if MOTOR_POSITION in r.channels]
     resolved = WIDEST / period
@@ -931,7 +909,7 @@ def _cutoff_hz(
 
 
 def _notes_on_sources(parts: Sequence[Compared], cutoff_hz: float, *, given: bool) -> Iterator[str]:
-    """Where speed and acceleration are from, and behind which filter both sides are compared."""
+    """Notes on the source of speed and acceleration, and on the filter."""
     sources = sorted({part.motion.source for part in parts})
     beyond = "." if given else ", beyond which the bench explains less than half."
     for source in sources:
@@ -954,10 +932,10 @@ def compared(
     cutoff_hz: float,
     known_torque: Sequence[str] = (),
 ) -> list[Compared]:
-    """What is compared of a recording: whole, or its halves, each with a use of its own.
+    """What is compared of a recording, whole or in halves with a use each.
 
-    All of a recording has one motion, so that both halves of a split one have one angle and one
-    time. Above the cut-off it is compared too, for what turns with the motor, but not shown.
+    The motion is that of the whole recording, so both halves have the same angle and time. What
+    lies above the cut-off is compared too, for effects of motor orders, but not shown.
     """
     period = recording.sampling_period_s
     sharp = sharper(cutoff_hz, period)
@@ -969,7 +947,7 @@ def compared(
             found=f"{motion.source} that never changes",
             expected="a recording of a motion",
         )
-    # A bridge is no motion, and the filter spreads it.
+    # Bridged samples show no motion, and the filter spreads them.
     out = widened(recording.excluded, reach(recording, sharp))
     require_enough(recording, channel, out)
     position = recording.channels.get(MOTOR_POSITION)
@@ -983,8 +961,7 @@ def compared(
         Window(low_pass, window, thinned(recording, cutoff_hz), step_rad=step),
         Window(low_pass, window, inside(recording, cutoff_hz), True, step, noise),
     ]
-    compared_samples = len(range(*windows[0].rows.indices(recording.samples)))
-    if compared_samples < FEWEST_SAMPLES:
+    if len(range(*windows[0].rows.indices(recording.samples))) < FEWEST_SAMPLES:
         raise RecordingError(
             "The cut-off of the filter is too low for so short a recording: its ends reach all of "
             "it.",
@@ -994,32 +971,31 @@ def compared(
         )
     torques = (recording.channels[name] for name in known_torque)
     known = LowPass(sharp, period)(sum(torques, np.zeros(recording.samples)))
-    pieces = []
+    parts = []
     for view in windows:
         signal = recording.channels[channel]
-        # As sharp as the motion, and no sharper, where the motion has a part in it.
-        passband = view(signal if view.above else LowPass(sharp, period)(signal))
+        # Below the cut-off as sharp as the motion, and no sharper.
+        measured = view(signal if view.above else LowPass(sharp, period)(signal))
         excluded = None if out is None or not out[view.rows].any() else out[view.rows]
         time = recording.time_s[view.rows]
         white = low_pass.of_white_noise(view.rows.step, HIGHEST_ORDER + 1)
-        shown = not view.above
         whole = Piece(
             recording.name,
             channel,
             uses[0],
             time,
-            passband,
+            measured,
             excluded,
-            shown,
-            white if shown else None,
+            not view.above,
+            None if view.above else white,
         )
         for use, rows in parts_of(uses, time.size // 2):
-            pieces.append(Compared(whole.part(rows, use), motion, known, view.part(rows)))
-    return pieces
+            parts.append(Compared(whole.part(rows, use), motion, known, view.part(rows)))
+    return parts
 
 
 def _require_motion(view: InverseView, recordings: Sequence[Recording]) -> None:
-    """Refuse where nothing moves in a part that is fitted or predicted."""
+    """Refuse a part, fitted or predicted, in which nothing moves."""
     for piece in view.rows.pieces:
         moving = piece.kept(piece.time_s).size
         if moving < FEWEST_SAMPLES:
@@ -1036,14 +1012,11 @@ def _require_motion(view: InverseView, recordings: Sequence[Recording]) -> None:
 
 
 def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording]) -> None:
+    """Refuse a known angle without the motor's position."""
     if all(MOTOR_POSITION in recording.channels for recording in recordings):
         return
-    compared = config.comparison
-    for name, claimed in (
-        ("load_angle_known", compared.load_angle_known),
-        ("motor_angle_known", compared.motor_angle_known),
-    ):
-        if claimed:
+    for name in ("load_angle_known", "motor_angle_known"):
+        if getattr(config.comparison, name):
             raise ConfigError(
                 "Without the motor's position no angle is known.",
                 where=f"[comparison] {name}",
@@ -1053,6 +1026,7 @@ def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording]) -
 
 
 def _one_way(parts: Sequence[Compared]) -> Iterator[str]:
+    """A note if the recordings turn one way only."""
     speed = np.concatenate([p.motion.speed for p in parts if p.piece.use == "used"])
     if abs(speed.sum()) >= ONE_WAY * np.abs(speed).sum():
         yield (

@@ -1,16 +1,15 @@
-"""Measured motion as an inverse comparison needs it, and how signals over it are compared.
+"""Measured motion, and filters and windows for the inverse comparison.
 
-Derivatives come from a zero-phase low pass: Butterworth of order 4, run forward and backward, so
-that −6 dB lie at the cut-off and nothing is delayed. Recordings with uneven time stamps are first
-brought to an even grid of the same mean period by cubic splines. What is compared passes one window
-and one filter on both sides:
+Derivatives come from a zero-phase low pass: a Butterworth filter of order 4, forward and backward,
+with −6 dB at the cut-off and no delay. Uneven time stamps are first resampled by cubic splines.
+Both sides of the comparison pass the same window w and low pass H:
 
     w τ = w (J dω/dt + b ω + …)   at every sample, so   H[w τ] = H[w J dω/dt] + H[w b ω] + …
 
-Behind the low pass H both sides hold the same frequencies (parallel filtering; Gautier 1997, IEEE
-ICRA, 3284), and what the window w leaves out (standstill, lost samples) is nothing on both sides
-instead of a disturbance that the filter spreads. What is compared is then thinned out to samples
-that are nearly independent, so that no answer depends on how densely a recording was sampled.
+So both sides have the same frequencies (parallel filtering; Gautier 1997, IEEE ICRA, 3284). The
+window makes standstill and lost samples zero on both sides, so the filter does not spread them.
+Then only nearly independent samples are kept, so that the answer does not depend on how densely a
+recording was sampled.
 """
 
 from __future__ import annotations
@@ -40,18 +39,18 @@ from bayesbl.units import RPM_PER_RAD_PER_S
 
 FILTER_ORDER = 4
 FADE_PERIODS = 4.0
-"""Of the cut-off frequency, in which what is beyond the ends fades: twice what the filter carries
-from there."""
+"""Periods of the cut-off over which the continuation beyond the ends fades: twice the filter's
+reach."""
 END_PERIODS = 2.0
-"""Of the cut-off frequency: how far the ends of a recording disturb what is filtered."""
+"""Reach of the filter from the ends of a recording, in periods of the cut-off."""
 
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """The stated zero-phase filter and the derivatives behind it.
+    """Zero-phase low pass, with derivatives.
 
-    Both are exact at every frequency below half the sampling rate: a digital Butterworth filter's
-    squared gain 1/(1 + (tan(ωT/2)/tan(ω_cT/2))⁸) and (iω)ᵏ, applied to the recording's discrete
+    Both are exact at every frequency below half the sampling rate: the squared gain of a digital
+    Butterworth filter, 1/(1 + (tan(ωT/2)/tan(ω_cT/2))⁸), and (iω)ᵏ are applied to the discrete
     Fourier transform. Differences of samples would lose sin(ωT)/ωT of every derivative.
     """
 
@@ -59,14 +58,14 @@ class LowPass:
     period_s: float
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        """Low-passed, same shape."""
+        """Low-passed values, same shape."""
         return self.derivative(values, 0)
 
     def derivative(self, values: FloatArray, times: int = 1) -> FloatArray:
         """Derivative of the low-passed values, same shape (n,).
 
-        What is left of a line from the first to the last sample goes on oddly at either end, with a
-        steady slope, and fades out.
+        The deviation from a straight line between the first and last sample is continued oddly at
+        both ends, with a steady slope, and fades out.
         """
         n = values.size
         slope = (values[-1] - values[0]) / ((n - 1) * self.period_s)
@@ -83,7 +82,7 @@ class LowPass:
         return np.asarray(made + (line, slope, 0.0)[times])
 
     def of_white_noise(self, step: int, lags: int) -> FloatArray:
-        """Autocovariance of white noise behind it, at 0, 1 … times ``step`` samples, (lags,)."""
+        """Autocovariance of filtered white noise at lags of 0, 1 … times ``step``, (lags,)."""
         size = fft.next_fast_len(
             2 * step * lags + math.ceil(FADE_PERIODS / (self.cutoff_hz * self.period_s)), real=True
         )
@@ -98,19 +97,19 @@ class LowPass:
 
 @dataclass(frozen=True, slots=True)
 class Motion(RigidMotion):
-    """Motion of the motor as it was measured, each of shape (n,), SI.
+    """Measured motion of the motor, each of shape (n,), SI.
 
-    ``source``: ``position`` or ``speed``, whichever the derivatives come from; from speed alone the
-    angle is its integral, known but for where it starts.
+    ``source``: ``position`` or ``speed``, from which the derivatives come. From speed alone, the
+    angle is its integral, with an unknown start.
     """
 
     source: str = "position"
 
     def shifted(self, time_s: float) -> Motion:
-        """The motion as it was ``time_s`` earlier; the ends stand still beyond the recording.
+        """The motion ``time_s`` earlier; beyond the recording, it keeps its first or last values.
 
-        By splines of degree 7: a straight line between samples would take noise from the
-        acceleration, and a shift by half a sample would then fit better than none.
+        Splines of degree 7: linear interpolation would smooth the acceleration's noise, so that a
+        shift by half a sample would fit better than none.
         """
         when = np.clip(self.time_s - time_s, self.time_s[0], self.time_s[-1])
         degree = min(7, (self.time_s.size - 1) // 2 * 2 - 1)
@@ -123,12 +122,12 @@ class Motion(RigidMotion):
 
 
 def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
-    """Motion from position, or from speed where there is none.
+    """Motion from position, or from speed without position.
 
     Raises
     ------
     RecordingError
-        If there is neither, or the cut-off lies beyond what the sampling shows.
+        If there is neither, or the cut-off is too high for the sampling rate.
     """
     period = recording.sampling_period_s
     if not cutoff_hz < 0.45 / period:
@@ -167,46 +166,45 @@ def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
 
 
 def reach(recording: Recording, cutoff_hz: float) -> int:
-    """Samples over which the filter carries what is wrong with one."""
+    """Number of samples over which the filter spreads one."""
     return math.ceil(round(END_PERIODS / cutoff_hz / recording.sampling_period_s, 6))
 
 
 SHARPER = 3.0
-"""Cut-off of the filter that the motion is taken from, over the one that both sides pass.
+"""Cut-off for the motion over that of the comparison.
 
-The motion of a nonlinear law must be sharper than what is compared of the law: at a third of its
-cut-off a filter of order 4 run twice passes all but 2e-4.
+A nonlinear law needs a motion sharper than the comparison. At a third of its cut-off, the filter
+passes all but 2e-4.
 """
 
 WIDEST = 0.4
-"""Highest cut-off, in sampling rates: what lies above can be another frequency."""
+"""Highest cut-off, in sampling rates: higher frequencies may be aliases."""
 
 SAMPLES_PER_PERIOD = 2.5
-"""Samples compared in a period of the cut-off. From 1.25 cut-offs on the filter leaves 14 %."""
+"""Samples compared in a period of the cut-off. Above 1.25 cut-offs, the filter passes 14 %."""
 
 REST_SHARE = 1e-2
-"""Of the RMS speed: slower than this, an axis stands or turns round."""
+"""Speed, in RMS speeds, below which an axis stands or reverses."""
 
 ROUNDED = 1e-8
-"""Of a position: what its written decimals may move it by."""
+"""Relative rounding of a position by its written decimals."""
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """From a signal over a whole recording, shape (n, …), to the samples of a piece, (k, …).
+    """Takes a signal over a whole recording, (n, …), to the samples of a piece, (k, …).
 
     Attributes
     ----------
     window
-        Shape (n,): 0 where nothing is to be compared, else 1; ``None`` for 1 everywhere.
+        Shape (n,): 1 for samples that are compared, else 0; ``None`` for all.
     rows
-        Of the recording's samples, those compared.
+        Samples of the recording that are kept.
     above
-        What the filter holds back instead of what it passes. There the acceleration is mostly
-        noise, but the angle is known: what turns with the motor can be compared, even beyond half
-        the sampling rate, and nothing else.
+        Whether to keep what lies above the cut-off. The acceleration there is mostly noise, but the
+        angle is known, so only motor orders are compared, even beyond half the sampling rate.
     step_rad, position_noise_rad
-        Of the motor's position as recorded; 0 where it has none.
+        Step and noise of the recorded motor position; 0 without.
     """
 
     low_pass: LowPass
@@ -217,7 +215,7 @@ class Window:
     position_noise_rad: float = 0.0
 
     def __call__(self, signal: FloatArray) -> FloatArray:
-        """The signal, or columns, as it is compared."""
+        """A signal, or columns, as it is compared."""
         if signal.ndim > 1:
             return np.column_stack([self(column) for column in signal.T])
         windowed = signal if self.window is None else self.window * signal
@@ -225,24 +223,24 @@ class Window:
         return (windowed - passed if self.above else passed)[self.rows]
 
     def part(self, rows: slice) -> Window:
-        """Some of the samples that are compared."""
+        """The window for some of the samples."""
         chosen = range(self.rows.start, self.rows.stop, self.rows.step)[rows]
         return replace(self, rows=slice(chosen.start, chosen.stop, chosen.step))
 
 
 def sharper(cutoff_hz: float, period_s: float) -> float:
-    """Cut-off for the motion, Hz: :data:`SHARPER` times the other one, if sampling allows."""
+    """Cut-off for the motion, Hz: :data:`SHARPER` times a cut-off, if sampling allows."""
     return max(cutoff_hz, min(SHARPER * cutoff_hz, WIDEST / period_s))
 
 
 def inside(recording: Recording, cutoff_hz: float) -> slice:
-    """Samples that the filter's ends do not reach."""
+    """Samples out of the filter's reach from the ends."""
     ends = reach(recording, cutoff_hz)
     return slice(ends, max(recording.samples - ends, ends), 1)
 
 
 def thinned(recording: Recording, cutoff_hz: float) -> slice:
-    """Of those, as many as the frequencies below the cut-off need."""
+    """As many of these samples as frequencies below the cut-off need."""
     rows = inside(recording, cutoff_hz)
     samples = 1.0 / (SAMPLES_PER_PERIOD * cutoff_hz * recording.sampling_period_s)
     step = max(1, math.floor(round(samples, 6)))
@@ -250,15 +248,13 @@ def thinned(recording: Recording, cutoff_hz: float) -> slice:
 
 
 def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolArray | None:
-    """Samples at which the axis stands or turns round, shape (n,); ``None`` if it never does.
+    """Mask of samples at which the axis stands or reverses, shape (n,); ``None`` if it never does.
 
-    At rest friction is whatever balances the torque, up to its limit: no law of the speed gives it.
-    How long an axis sticks when it turns round, a filtered speed does not show.
+    At rest, friction balances the torque up to its limit and is no function of the speed. The
+    filtered speed does not show how long an axis sticks when it reverses.
 
-    Parameters
-    ----------
-    position_noise
-        Standard deviation, rad; white noise of a derivative below f is 2π σ √(2 T f³/3).
+    ``position_noise``: standard deviation σ, rad. The noise of its derivative below the frequency f
+    is 2π σ √(2 T f³/3).
     """
     period = float(motion.time_s[-1] - motion.time_s[0]) / (motion.time_s.size - 1)
     sharp = sharper(cutoff_hz, period)
@@ -272,22 +268,22 @@ def standstill(motion: Motion, position_noise: float, cutoff_hz: float) -> BoolA
 
 
 def noise_of(position: FloatArray) -> float:
-    """Standard deviation of white noise, the encoder's steps included, rad.
+    """Standard deviation of white noise, encoder steps included, rad.
 
-    From third differences: of white noise 20 times its variance, of a smooth motion nothing.
+    Third differences have 20 times the variance of white noise, and vanish for smooth motion.
     """
     return math.sqrt(float(np.mean(np.diff(position, 3) ** 2)) / 20.0)
 
 
 def step_of(position: FloatArray) -> float:
-    """The smallest step that a position moves in, rad: an encoder's, or of noise almost none."""
+    """Smallest step of a position, rad: that of the encoder, or nearly 0 with noise."""
     moved = np.abs(np.diff(position))
     moved = moved[moved > ROUNDED * np.abs(position).max()]
     return float(moved.min()) if moved.size else 0.0
 
 
 def turns_of(recordings: Sequence[Recording]) -> float:
-    """Of the motor, in the recording that goes farthest."""
+    """Motor turns in the recording with the longest travel."""
     turns = [0.0]
     for recording in recordings:
         if MOTOR_POSITION in recording.channels:

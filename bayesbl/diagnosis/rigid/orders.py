@@ -1,4 +1,4 @@
-"""Which order of the motor's turning stands out of the residual, against the noise around it."""
+"""Motor orders that stand out of the noise around them in a residual."""
 
 from __future__ import annotations
 
@@ -17,45 +17,39 @@ from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
 
 FEWEST_CYCLES = 3.0
 FEWEST_SAMPLES = 20
-"""That an order must pass in to be judged: below, its score is no χ²."""
+"""Fewest cycles and samples of an order for its score to be a χ²."""
 
 CHANCE = 0.5
-"""Probability of as strong a line where there is none, up to which it is tried: the search
-decides."""
+"""False-alarm probability up to which a line becomes a candidate; the search decides."""
 
 WHOLE = 0.25
-"""Standard deviation of an order up to which a whole one is told from its neighbours."""
+"""Standard deviation of an order up to which it can be recognised as whole."""
 
 SLOW_SHARE = 0.1
-"""Of the time: in the slowest part the highest order still has two samples in a period."""
+"""Share of the time in which the highest order has less than two samples in a period."""
 
 STEPS_PER_CYCLE = 5.0
 _MOST_ORDERS = 100_000
 _LEVEL_CYCLES = 40.0
-"""Resolved cycles over which the noise of an order is taken: wide beside a line, not the range."""
+"""Resolved cycles over which the noise is averaged: many lines wide, few in the whole range."""
 
 _OVERSAMPLING = 8
-"""Bins in a period of the highest order: of what lies beyond it, no more than 2 % get in."""
+"""Bins in a period of the highest order: aliases of higher orders are below 2 %."""
 
 _SLOWEST = 1e-6
-"""Of the fastest: a motor that stands turns so fast."""
+"""Smallest speed relative to the largest, for a motor that stands."""
 
 Owner = tuple[bool, str]
-"""Whatever has one phase: what a filter passes, or not, of a recording, or of all."""
+"""Data that share one phase: above the cut-off or not, and the recording ("" for all)."""
 
 
 @dataclass(frozen=True, slots=True)
 class OrderedRest:
-    """A residual over the motor's angle, rad, each of shape (n,).
+    """A residual over the motor angle, rad, each of shape (n,).
 
-    Attributes
-    ----------
-    speed
-        Of the motor, without its sign, rad/s.
-    cutoff_hz, above
-        Of the filter: what is slower is seen, or what is faster.
-    period_s, step_rad
-        Of the recording's sampling; of its position, 0 where that has no steps.
+    ``speed``: absolute motor speed, rad/s; ``cutoff_hz``, ``above``: cut-off of the filter, and
+    whether the residual is what lies above it; ``period_s``, ``step_rad``: sampling period, and
+    step of the position; 0 without steps.
     """
 
     recording: str
@@ -70,34 +64,28 @@ class OrderedRest:
 
     @property
     def passing(self) -> FloatArray:
-        """Order of the motor's turning at the cut-off, shape (n,)."""
+        """Motor order at the cut-off frequency, shape (n,)."""
         slowest = max(_SLOWEST * float(self.speed.max()), np.finfo(float).tiny)
         return 2.0 * math.pi * self.cutoff_hz / np.maximum(self.speed, slowest)
 
     def shows(self, order: float) -> BoolArray:
-        """Samples that show an order, shape (n,)."""
+        """Mask of the samples that show an order, shape (n,)."""
         return np.asarray(self.passing <= order if self.above else self.passing > order)
 
 
 @dataclass(frozen=True, slots=True)
 class OrderSpectrum:
-    """Score of sin and cos of every order: χ² if nothing is there.
+    """Score of each order: χ² if there is only noise.
 
-    |Σ r exp(i n θ)|² over half of what noise makes of it: the larger of what the neighbouring
-    orders hold, by their median, which a line among them does not move, and of what the residual
-    would if it were white, so that what leaks from a line into a quiet place is none. It is summed
-    over recordings before the square where they share one phase, after it where not. What a filter
-    passes and what it holds back are scored apart: a ripple may show at high speed alone.
+    The score is |Σ r exp(i n θ)|² over half of its expectation under noise. This is the median of
+    the neighbouring orders, which a line does not affect, but at least that of white noise, so that
+    leakage of a line into a quiet region is no line. Recordings with a common phase are summed
+    before squaring, others after. Samples above and below the cut-off are scored separately,
+    because a ripple may show only at high speed.
 
-    Attributes
-    ----------
-    orders, scores
-        Shape (m,), evenly spaced; empty if the motor does not turn far enough.
-    powers
-        Half of what noise makes of |Σ r exp(i n θ)|², of each owner, shape (m,); 0 where it does
-        not show the order.
-    independent
-        Number of orders that are independent of one another.
+    ``orders``, ``scores``: shape (m,), evenly spaced; empty if the motor does not turn far enough;
+    ``powers``: half of the expectation of |Σ r exp(i n θ)|² under noise, for each owner, shape
+    (m,); 0 if the owner does not show the order; ``independent``: number of independent orders.
     """
 
     orders: FloatArray
@@ -106,11 +94,11 @@ class OrderSpectrum:
     independent: float
 
     def log_chance(self) -> FloatArray:
-        """ln of the probability of as large a score anywhere, if nothing is there, shape (m,).
+        """ln of the false-alarm probability of each score among all orders, shape (m,).
 
-        W √(χ²/2) times that of one order, W the independent orders: between them the score can rise
-        a little further (Baluev 2008). Of 2 m degrees of freedom that is exp(−x/2) Σ (x/2)ʲ/j!,
-        j < m, in logarithms, as scores of a thousand are usual.
+        It is W √(χ²/2) times that of one order, with W independent orders, because the score can be
+        higher between them (Baluev 2008). For 2 m degrees of freedom, that of one order is
+        exp(−x/2) Σ (x/2)ʲ/j!, j < m. Scores of a thousand are common, hence the logarithms.
         """
         owners = np.sum([power > 0.0 for power in self.powers.values()], axis=0)
         j, half = np.arange(len(self.powers))[:, None], np.maximum(0.5 * self.scores, 1e-12)
@@ -120,7 +108,7 @@ class OrderSpectrum:
 
 
 def turns_of(rests: Sequence[OrderedRest], shared: bool) -> float:
-    """Of the motor: in the longest recording, or over all where their angle is absolute."""
+    """Motor turns in the longest recording, or over all recordings if they share one phase."""
     ends = [(float(item.angle.min()), float(item.angle.max())) for item in rests]
     if shared:
         ends = [(min(first for first, _ in ends), max(last for _, last in ends))]
@@ -130,9 +118,9 @@ def turns_of(rests: Sequence[OrderedRest], shared: bool) -> float:
 def order_range(
     rests: Sequence[OrderedRest], turns: float, highest: float = math.inf
 ) -> tuple[float, float]:
-    """Orders that recordings can show, from their motion: in any unit of the angle the same.
+    """Lowest and highest order that recordings can show, whatever the unit of the angle.
 
-    From three cycles on the way to two samples a cycle, of the time and of the position.
+    From three cycles in the whole travel to two samples, or two position steps, per cycle.
     """
     speeds = np.concatenate([item.speed for item in rests])
     slow = float(np.quantile(speeds, SLOW_SHARE))
@@ -146,23 +134,17 @@ def order_range(
 
 
 def owner_of(item: OrderedRest, shared: bool) -> Owner:
-    """Whose phase it has."""
+    """Owner of a residual."""
     return item.above, "" if shared else item.recording
 
 
 def spectrum_of(
     rests: Sequence[OrderedRest], shared: bool, *, highest: float = math.inf, coloured: bool = False
 ) -> OrderSpectrum:
-    """Every order's score.
+    """Score all orders.
 
-    Parameters
-    ----------
-    shared
-        All recordings have one phase.
-    highest
-        Order that is looked at.
-    coloured
-        Quiet places are the noise's: what surrounds an order alone tells it.
+    ``shared``: whether all recordings share one phase; ``highest``: highest order; ``coloured``:
+    whether noise is estimated from the neighbouring orders alone, because it may be coloured.
     """
     turns = turns_of(rests, shared)
     low, high = order_range(rests, turns, highest)
@@ -194,7 +176,7 @@ def spectrum_of(
 def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> ComplexArray:
     """Σ v exp(i k step x) for k = 0 … count − 1, shape (count,).
 
-    By a fast Fourier transform of the values, each shared by the two bins that it lies between.
+    Each value is divided between the two nearest bins of a fast Fourier transform.
     """
     size = fft.next_fast_len(_OVERSAMPLING * count, real=True)
     place = (x * (step * size / (2.0 * math.pi))) % size
@@ -209,9 +191,9 @@ def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> Compl
 def _transform(
     item: OrderedRest, orders: FloatArray
 ) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Σ r exp(i n θ), the number of samples that show the order, and ½ Σ r² of them.
+    """Σ r exp(i n θ), number of samples that show the order, and ½ Σ r² of these, (m,) each.
 
-    What does not show an order holds none of it behind the filter, and no noise either.
+    Samples that do not show an order have no such signal or noise behind the filter.
     """
     step = float(orders[1] - orders[0])
     first = round(float(orders[0]) / step)
@@ -227,14 +209,10 @@ def _transform(
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A wave that stands out.
+    """A line that becomes a candidate.
 
-    Attributes
-    ----------
-    values
-        Orders, or frequencies, that are tried, evenly spaced but for a whole one.
-    anywhere, whole
-        Prior weight of all values together, and what a whole order has besides.
+    ``values``: orders or frequencies to try, evenly spaced except for a whole one; ``anywhere``,
+    ``whole``: prior weight of all values together, and the additional weight of a whole order.
     """
 
     values: tuple[float, ...]
@@ -243,7 +221,7 @@ class Line:
 
     @classmethod
     def around(cls, centre: float, step: float, anywhere: float, whole: float = 0.0) -> Line:
-        """Values a step apart, and the nearest whole one if it has a weight."""
+        """Five values one step apart, and the nearest whole one if it has a weight."""
         values = set((centre + step * np.arange(-2.0, 3.0)).tolist())
         if whole:
             values.add(float(round(centre)))
@@ -251,40 +229,32 @@ class Line:
 
     @property
     def middle(self) -> float:
-        """Of the values."""
+        """Middle value."""
         return self.values[len(self.values) // 2]
 
     @property
     def weights(self) -> tuple[float, ...]:
-        """Of the values."""
+        """Prior weight of each value."""
         even = self.anywhere / len(self.values)
         return tuple(even + self.whole * float(v == round(v)) for v in self.values)
 
     def finer(self, centre: float, sd: float) -> Line:
-        """Around the likeliest value, as closely as it is known."""
+        """The line around its most probable value, with steps of its standard deviation."""
         step = float(np.median(np.diff(self.values)))
         return Line.around(centre, _halved(step, max(sd, 0.25 * step)), self.anywhere, self.whole)
 
 
 def _halved(step: float, size: float) -> float:
-    """A step halved or doubled until it is about as large: not to depend on the last digit."""
+    """A step halved or doubled to about a size, so that it does not depend on rounding."""
     return float(step * 2.0 ** round(math.log2(size / step)))
 
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """An order that stands out.
+    """An order that stands out of a spectrum.
 
-    Attributes
-    ----------
-    sd
-        Of the order.
-    score, log_chance
-        χ², and ln of the probability of as large a one anywhere if nothing is there.
-    behind
-        χ² by which the nearest whole order scores less.
-    spectrum
-        Where it stands out.
+    ``sd``: standard deviation of the order; ``score``: χ²; ``log_chance``: ln of the false-alarm
+    probability; ``behind``: χ² by which the nearest whole order is worse.
     """
 
     order: float
@@ -296,7 +266,7 @@ class Peak:
 
     @property
     def step(self) -> float:
-        """Between orders of the spectrum."""
+        """Distance between orders of the spectrum."""
         return float(self.spectrum.orders[1] - self.spectrum.orders[0])
 
 
@@ -308,9 +278,9 @@ def clearest(
     highest: float = math.inf,
     coloured: bool = False,
 ) -> Peak | None:
-    """The order that stands out most of what the known ones leave; ``None`` if none can be seen.
+    """The order that stands out most, away from known ones; ``None`` if no order is shown.
 
-    The other parameters are those of :func:`spectrum_of`.
+    Other parameters as :func:`spectrum_of` takes them.
     """
     spectrum = spectrum_of(rests, shared, highest=highest, coloured=coloured)
     if not spectrum.orders.size:
@@ -327,10 +297,10 @@ def clearest(
 def peaks(
     rests: Sequence[OrderedRest], shared: bool, most: int, *, whole: bool = True
 ) -> list[Line]:
-    """Orders that stand out most, each beneath the stronger ones.
+    """Orders that stand out most, each after subtraction of the stronger ones.
 
-    Beforehand one order is as probable as another as far as these recordings resolve them, but for
-    ``whole`` ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
+    All resolved orders are equally probable a priori. But if ``whole``, half of the probability
+    belongs to whole orders, because whatever is fixed to the motor repeats with its turn.
     """
     lines: list[Line] = []
     known: list[float] = []
@@ -340,7 +310,7 @@ def peaks(
             break
         order, sd, nearest = peak.order, peak.sd, round(peak.order)
         near = whole and nearest > 0 and abs(order - nearest) < peak.step and sd < WHOLE
-        # Of one resolved order the values hold as much as lies within them.
+        # The values have the share of a resolved order that they cover.
         share = (0.5 if whole else 1.0) * min(1.0, 5.0 * sd / (STEPS_PER_CYCLE * peak.step))
         special = 0.5 / max(1.0, float(peak.spectrum.orders[-1])) if near else 0.0
         anywhere = min(1.0, share / peak.spectrum.independent)
@@ -353,10 +323,10 @@ def peaks(
 def _sharp(
     rests: Sequence[OrderedRest], shared: bool, spectrum: OrderSpectrum, k: int
 ) -> tuple[float, float, float]:
-    """The order near one of a spectrum that scores most, its standard deviation, and by what χ² the
-    nearest whole one scores less.
+    """Best order near one of a spectrum, its standard deviation, and the χ² by which the nearest
+    whole order is worse.
 
-    That of a frequency with score χ² over a time T is √6/(π T √χ²) (Rife and Boorstyn 1974).
+    A frequency with score χ² in a time T has √6/(π T √χ²) (Rife and Boorstyn 1974).
     """
     order, step = float(spectrum.orders[k]), float(spectrum.orders[1] - spectrum.orders[0])
 
@@ -377,7 +347,7 @@ def _sharp(
 
 
 def _without(item: OrderedRest, order: float) -> OrderedRest:
-    """The residual less its wave of an order, where it shows it."""
+    """The residual without the wave of an order, at the samples that show it."""
     rows = np.flatnonzero(item.shows(order))
     if rows.size < FEWEST_SAMPLES:
         return item
