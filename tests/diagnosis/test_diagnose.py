@@ -175,6 +175,25 @@ def test_free_motion_may_come_to_rest(folder: Path) -> None:
     assert status(["check", str(folder / "config.toml")]) == 0
 
 
+def test_free_motion_in_a_single_step_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of its travel is in one sample, so it has no halves."""
+    bench = BENCH.replace("gravity_torque_nm = {value = 300.0}", "gravity_torque_nm = {value = 0}")
+    (folder / "bench.toml").write_text(bench)
+    time = np.arange(2000) / SAMPLING_HZ
+    position = np.where(time > 0.0, 1.0, 0.0)
+    for name in "ab":
+        made = Recording(name, time, {MOTOR_POSITION: position})
+        write_csv(made, folder / f"{name}.csv", (MOTOR_POSITION,))
+    text = CONFIG.replace('method = "inverse"', 'method = "free_motion"')
+    (folder / "config.toml").write_text(
+        text.replace('file = "a.csv"', 'file = "a.csv"\nuse = "split"')
+    )
+    assert status(["check", str(folder / "config.toml")]) == 2
+    assert "Nothing moves in a part" in capsys.readouterr().err
+
+
 @pytest.mark.long
 def test_effects_that_the_bench_has_are_not_missing(folder: Path) -> None:
     bench = BENCH + (

@@ -411,12 +411,13 @@ def comparison(task: Task) -> Comparison:
     effects = wanted(config, bench, laws)
     view = FreeMotionView(pieces, bench, effects, unknown, compared.load_angle_known or not gravity)
     for piece in pieces:
-        if not np.ptp(piece.kept(piece.measured)) > 0.0:
+        kept = piece.kept(piece.measured)
+        if not kept.size or not np.ptp(kept) > 0.0:
             raise RecordingError(
                 "Nothing moves in a part that is to be fitted or predicted.",
                 file=next(r.place for r in recordings if r.name == piece.name),
-                where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
-                found=f"{channel} that never changes",
+                where=channel,
+                found=f"a part of {kept.size} samples in which it never changes",
                 expected="a recording of a motion from its start to its end",
             )
     scale = "gravity" if gravity else "the inertia"
