@@ -716,15 +716,20 @@ def _stated(
         return GuessedColumn(channel, column.name, stated.unit, said, True)
     if suggested and channel in suggested:
         return GuessedColumn(channel, column.name, *suggested[channel], False)
-    if channel in _SI and _TOPIC.match(column.name):
-        return GuessedColumn(channel, column.name, _SI[channel], BY_ROS, True)
-    if channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE):
-        return GuessedColumn(channel, column.name, "rpm", NO_UNIT, False)
-    if channel == TIME:
-        return GuessedColumn(channel, column.name, "s", NO_UNIT, False)
+    if (of_name := _unit_of_name(channel, column)) is not None:
+        return GuessedColumn(channel, column.name, *of_name)
     # A share, a count or a number that was scaled looks like any other.
     asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
     return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
+
+
+def _unit_of_name(channel: str, column: _Named) -> tuple[str, str, bool] | None:
+    """The unit that the column's name implies, the reason, and whether the file says so."""
+    if channel in _SI and _TOPIC.match(column.name):
+        return _SI[channel], BY_ROS, True
+    if channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE):
+        return "rpm", NO_UNIT, False
+    return ("s", NO_UNIT, False) if channel == TIME else None
 
 
 def _readings(channel: str, column: _Named) -> str:
@@ -763,8 +768,8 @@ def _of_position(
     """Units in which the position's derivative is the speed; both have shape (n,).
 
     With units that the file states, the guessed unit of time may be wrong by a power of ten.
-    Nothing is returned if several pairs agree equally: turns and turns per second do if rad and
-    rad/s do.
+    Several pairs that agree equally are a question: turns and turns per second do if rad and rad/s
+    do.
     """
     known = np.isfinite(seconds) & np.isfinite(speed)
     at, along = seconds[known], np.full(seconds.shape, np.nan)
@@ -789,8 +794,12 @@ def _of_position(
     if explained < _IS_INTEGRAL or not pairs:
         asked = "enter its unit, as it is the position's derivative in none: "
         return {MOTOR_SPEED: (UNKNOWN, asked + choice_of_units(MOTOR_SPEED))} if units else {}
+    of_name = _unit_of_name(MOTOR_SPEED, chosen[MOTOR_SPEED])
+    pairs = [pair for pair in pairs if of_name and pair[0] == of_name[0]] or pairs
     if len(pairs) > 1:
-        return {}
+        agreeing = " or ".join(f"{speed_unit} and {angle}" for speed_unit, angle in pairs)
+        asked = f"enter its unit: speed and position agree in {agreeing}"
+        return dict.fromkeys((MOTOR_SPEED, MOTOR_POSITION), (UNKNOWN, asked))
     reason = "speed and position then agree"
     return {MOTOR_SPEED: (pairs[0][0], reason), MOTOR_POSITION: (pairs[0][1], reason)}
 

@@ -71,6 +71,9 @@ def test_unstated_units_are_found_from_the_numbers(time, speed, angle, measured,
     )
     found = guessed(path)
     assert found["time_s"] == ("Zeit", time)
+    if (angle, speed) == ("rad", "rad/s"):  # turns and turns per second agree as well
+        assert found["motor_speed_rpm"] == ("Drehzahl", "?")
+        return
     factor = {"rpm": 1.0, "rad/s": 30.0 / math.pi, "deg/s": 1.0 / 6.0, "rev/s": 60.0, "Hz": 60.0}
     mean = np.mean(SPEED[speed] * measured.motor_speed_rpm) * factor[found["motor_speed_rpm"][1]]
     assert mean == pytest.approx(2000.0, rel=0.02)
