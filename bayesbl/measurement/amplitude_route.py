@@ -53,12 +53,12 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
-from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted
+from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted, speed_at
 from bayesbl.ringing.posterior import require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch, same_pulses
-from bayesbl.ringing.waveform import jacobian_columns, model_speed
+from bayesbl.ringing.waveform import jacobian_columns
 
 NAME = "amplitude"
 
@@ -599,8 +599,7 @@ def _prediction_variance(fit: Fit) -> FloatArray:
     total, square = np.zeros(objective.samples), np.zeros(objective.samples)
     centre = point.optimum.predict(objective.time_s)
     for i in draw_index:
-        symbols = {**point.optimum.symbols, **{n: float(v[i]) for n, v in flat.items()}}
-        difference = model_speed(objective.time_s, symbols, baseline[i]) - centre
+        difference = speed_at(point, flat, baseline, int(i)) - centre
         total += difference
         square += difference**2
     return np.asarray(square / draw_index.size - (total / draw_index.size) ** 2)

@@ -231,16 +231,22 @@ def _difference_density(freedom: float) -> tuple[FloatArray, FloatArray]:
     width = 0.5 * (np.arctan(half) + 0.5 * np.pi)
     angle = -0.5 * np.pi + np.outer(width, node + 1.0)
     x = np.tan(angle)
-    density = np.exp(_log_t(x, freedom) + _log_t(2.0 * half[:, None] - x, freedom))
+    density = np.exp(log_t(x, freedom) + log_t(2.0 * half[:, None] - x, freedom))
     total = 2.0 * (density / np.cos(angle) ** 2) @ weight * width
     return log_z, np.log(total)
 
 
-def _log_t(x: FloatArray, freedom: float) -> FloatArray:
+def log_t(x: FloatArray, freedom: float) -> FloatArray:
+    """ln density of Student's t."""
     constant = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom)
     return np.asarray(
         constant - 0.5 * np.log(freedom * np.pi) - 0.5 * (freedom + 1.0) * np.log1p(x**2 / freedom)
     )
+
+
+def log_normal(x: FloatArray) -> FloatArray:
+    """ln density of the standard normal distribution."""
+    return np.asarray(-0.5 * x**2 - 0.5 * math.log(2.0 * math.pi))
 
 
 NoiseKind = Literal["auto", "white", "ar", "student_t"]
