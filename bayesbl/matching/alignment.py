@@ -29,7 +29,14 @@ from bayesbl.matching.observed import (
     without_start,
 )
 from bayesbl.matching.predictive_check import is_explained
-from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
+from bayesbl.matching.signals import (
+    AT_ONCE,
+    GAP,
+    REFERENCE_DELAY,
+    START_ANGLE,
+    SimulatedSignals,
+    Unknown,
+)
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
@@ -40,7 +47,6 @@ FRICTIONS_TRIED = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
 """Friction in usual sizes; one joint in eighty has more."""
 SHIFTS_TRIED = 4
 """Shifts of a learned term per period of its highest order."""
-POINTS_AT_ONCE = 64
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 FORGOTTEN = 0.01
@@ -252,7 +258,7 @@ def _aligned(
     }
     steady = [i for i in members if i not in by_member]
     # In pieces, so that recordings at one speed find each other's simulations in the cache.
-    pieces = np.array_split(points, math.ceil(len(points) / POINTS_AT_ONCE))
+    pieces = np.array_split(points, math.ceil(len(points) / AT_ONCE))
     aligned = [[_align(model, piece, i) for i in steady] for piece in pieces]
     for i, parts in zip(steady, zip(*aligned, strict=True), strict=True):
         angle, chi_square = np.concatenate(parts).T
@@ -320,7 +326,8 @@ def valid_variant(fit: SimulatedFit) -> SimulatedFit:
     A digital drive holds its reference from sample to sample, and friction at a standstill differs
     from that in motion.
     """
-    if is_explained(fit) or not _moves(fit):
+    moves = any(observation.motion is not None for observation in fit.model.recordings)
+    if is_explained(fit) or not moves:
         return fit
     for variant in _variants(fit):
         if is_explained(variant):
@@ -360,10 +367,6 @@ def _held(fit: SimulatedFit) -> SimulatedFit:
         unknowns=[model.unknowns[k] for k in kept],
     )
     return refitted(held, replace(fit, point=fit.point[kept], steps=fit.steps[kept]))
-
-
-def _moves(fit: SimulatedFit) -> bool:
-    return any(observation.motion is not None for observation in fit.model.recordings)
 
 
 def _compared(recordings: Sequence[Observed]) -> int:

@@ -25,7 +25,7 @@ import numpy as np
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import loop_noise, turns_of
 from bayesbl.matching.signals import GAP, START_ANGLE
-from bayesbl.noise.impact_scatter import Scatter, early_and_late
+from bayesbl.noise.impact_scatter import FACTORS, Scatter, early_and_late
 from bayesbl.recording.types import FloatArray
 
 IMPACTS_ABOVE = 8
@@ -33,9 +33,6 @@ IMPACTS_ABOVE = 8
 
 BETWEEN_IMPACTS = 8
 """Inverse share of a rotation that is quiet between two impacts."""
-
-FACTORS = 400
-"""Number of likely values of v."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +98,8 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         scatter = Scatter.of(
             *scores(gap_direction), None if loop is None else loop.factors(gap_direction)
         )
-        factors = scatter.likely(FACTORS)
-        timing_variance = np.zeros(FACTORS)
+        factors = scatter.likely()
+        timing_variance = np.zeros(factors.size)
         angle = model.place_of(START_ANGLE, observation.name)
         if angle is not None and observation.motion is None and scatter.freedom > 0.0:
             fast = _fast(slopes[..., angle], len(observation.signals))

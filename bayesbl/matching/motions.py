@@ -13,7 +13,7 @@ from bayesbl.bench.kernel import TWIST, Slot
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import FAST_S, Observed
-from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
+from bayesbl.matching.signals import AT_ONCE, GAP, START_ANGLE, SimulatedSignals
 from bayesbl.noise.channel_noise import (
     HIGHEST_ORDER,
     ChannelNoise,
@@ -41,8 +41,6 @@ GAPS_SCANNED = 12
 GAPS_SCANNED_FINELY = 96
 """Steps of 5 %: χ² of a motion has a local minimum for each sequence of impacts."""
 VALLEYS_FITTED = 4
-AT_ONCE = 64
-"""Number of simulated motions in memory."""
 ANGLE_STEP_RAD = 1e-3
 """Smaller than the load's move on a changed flank, larger than shows the simulator's error."""
 SHIFTS = 2

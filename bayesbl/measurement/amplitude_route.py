@@ -405,11 +405,10 @@ def _numbers(fit: Fit, posterior: xr.Dataset, section: IntervalConfig) -> dict[s
 
 
 def _noise_summary(noise: Noise) -> NoiseSummary:
-    coloured = "ar" if noise.coefficients.size or noise.differentiated else "white"
     evidence = noise.student_t_evidence
     return {
-        "kind": coloured if noise.degrees_of_freedom is None else "student_t",
-        "order": noise.coefficients.size,
+        "kind": noise.kind,
+        "order": noise.order,
         "sd_rpm": noise.sd_rpm,
         "coefficients": noise.coefficients.tolist(),
         "degrees_of_freedom": noise.degrees_of_freedom,

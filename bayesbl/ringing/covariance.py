@@ -38,9 +38,6 @@ from bayesbl.ringing.symbols import (
 from bayesbl.ringing.waveform import impacts, jacobian, jacobian_columns, misfit_curvature
 from bayesbl.sampling.convergence import Contender
 
-FACTORS = 400
-"""Equally likely values of the variance factor that are kept."""
-
 SAFE_SHARE = 0.2
 """Least ratio of the smallest eigenvalues of H and JᵀJ; below it, JᵀJ replaces H."""
 
@@ -140,7 +137,7 @@ def covariance(
         return weighted.T @ residual, projected.T @ noise.covariance_times(projected)
 
     scatter = Scatter.of(*scores(columns @ inverse[:, :1]), signs)
-    factors = scatter.likely(FACTORS)
+    factors = scatter.likely()
     impact_sd_rpm = np.sqrt(signs.size * sandwich[0, 0] * (factors - 1.0)) / norms[0]
     losses = np.zeros(factors.size)
     if START in names and signs.size:
