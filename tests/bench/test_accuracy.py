@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.kernel import HELD_TORQUE, RPM, SLOTS, STATES, Slot
-from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, strokes, torque_ramps
+from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, torque_ramps
 from bayesbl.bench.simulation import (
     simulate_channels,
     simulate_motions,
@@ -459,10 +459,10 @@ def test_position_loop_agrees_with_the_reference() -> None:
 
 
 MOTIONS = {
-    "strokes": strokes(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5),
+    "strokes": cycle(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5),
     "sine": sine(120.0, (0.2, 0.9), 0.9, 1.5),
     "cycle": cycle(120.0, [0.1, -0.1, 0.3], 800.0, 9000.0, 0.05, 1.5),
-    "S-curves": strokes(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5, 60000.0),
+    "S-curves": cycle(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5, 60000.0),
 }
 
 
