@@ -14,7 +14,7 @@ that defines the curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,22 +145,10 @@ class GapCurve:
         low, high = self.amplitude_range_rpm
         return np.where(amplitude_rpm < low, -1.0, np.where(amplitude_rpm > high, 1.0, 0.0))
 
-    def draw(
-        self, count: int, generator: np.random.Generator, sources: Collection[str] | None = None
-    ) -> CurveDraws:
-        """Draw ``count`` curves that could be the true one, shared by all snapshots.
-
-        Parameters
-        ----------
-        sources
-            Sources to draw, the others held at nominal; all of them by default.
-        """
-        drawn_rows = {}
-        for name, draws in self.sources.items():
-            rows = generator.integers(len(draws), size=count)
-            if sources is None or name in sources:
-                drawn_rows[name] = rows
-        return CurveDraws(self, drawn_rows)
+    def draw(self, count: int, generator: np.random.Generator) -> CurveDraws:
+        """Draw ``count`` curves that could be the true one, shared by all snapshots."""
+        rows = {n: generator.integers(len(d), size=count) for n, d in self.sources.items()}
+        return CurveDraws(self, rows)
 
     def start_angle_sd(self, amplitude_rpm: FloatArray) -> FloatArray:
         """Standard deviation of A over start angles at the given A, rpm, same shape."""

@@ -74,7 +74,6 @@ STANDSTILL = 20.0 * SIGN_WIDTH_SHARE
 """Speed below which the joint stands still, relative to its reference speed: twenty times the width
 over which friction changes its sign. Above, friction is that of motion."""
 
-MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE = ACCURACY
 """Relative to the reference speed: agreement of simulated speeds with an independent solver."""
 RINGING_BAND = 4.0
@@ -550,7 +549,7 @@ def _recovery(observation: Observed, bench: Bench) -> int:
     fastest = bench.vector(reference_speed_rpm=observation.reference_speed_rpm)
     # Second differences hardly contain the motion; correlated noise counts as a little less.
     second_differences = np.abs(np.diff(observation.signals[0], 2))
-    noise = float(np.median(second_differences)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
+    noise = float(np.median(second_differences)) / (0.6745 * math.sqrt(6.0))
     accuracy_rpm = max(noise, LEAST_NOISE * abs(observation.reference_speed_rpm))
     settled = float(settling_time_s(fastest, accuracy_rpm)[0])
     return math.ceil(settled * observation.sampling_hz)

@@ -23,7 +23,7 @@ from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
-from bayesbl.probabilities import FALSE_ALARM, chi2_sf
+from bayesbl.probabilities import FALSE_ALARM, chi2_sf, ends
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import (
@@ -59,7 +59,7 @@ with p its level.
 """
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
-TAILS = (0.05, 0.95)
+LEVEL = 0.9
 MATTERS = 0.2
 """Share of an interval by which an error may move δ or its change without being reported."""
 Side = Literal["lower", "upper"]
@@ -140,7 +140,7 @@ class DirectPosterior:
         """
         model = self.fit.model
         gap = self.values(GAP, recording).ravel()
-        low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+        low, high = ends(gap, level)
         for i, side, reach, _ in _contradicted(model, self.draws):
             coordinate = self.draws[..., i].ravel()
             variance = float(coordinate.var(ddof=1))
@@ -325,9 +325,7 @@ def widened(posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectP
 
 def _width_ratio(before: FloatArray, after: FloatArray) -> FloatArray:
     """Ratio of the 90 % intervals of draws (n, d), shape (d,)."""
-    width_after, width_before = (
-        np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (after, before)
-    )
+    width_after, width_before = (np.ptp(ends(d, LEVEL, 0), axis=0) for d in (after, before))
     return np.asarray(width_after / np.maximum(width_before, 1e-300))
 
 
@@ -358,16 +356,15 @@ def _would_stay(draws: FloatArray, checked: NDArray[np.int64], log_weights: Floa
     share = effective_size(log_weights) / log_weights.size
     if not np.all(np.isfinite(log_weights)) or share < GOOD_SHARE:
         return False
-    low, high = np.quantile(draws, TAILS, axis=0)
+    low, high = ends(draws, LEVEL, 0)
     sd = np.maximum(draws.std(axis=0), 1e-300)
     deviations = (draws[checked] - draws.mean(axis=0)) / sd
     within = (draws[checked] >= low) & (draws[checked] <= high)
     weights = np.exp(log_weights - log_weights.max())
     excess = weights / weights.sum() - 1.0 / weights.size
     mean, level = (math.sqrt(np.mean((excess @ values) ** 2)) for values in (deviations, within))
-    p = TAILS[1] - TAILS[0]
     scatter = 1.0 / math.sqrt(FEWEST_EFFECTIVE)
-    return mean < scatter and level < scatter * math.sqrt(p * (1.0 - p))
+    return mean < scatter and level < scatter * math.sqrt(LEVEL * (1.0 - LEVEL))
 
 
 @dataclass(frozen=True, slots=True)
@@ -434,13 +431,13 @@ def _walk(
     starts = starts.reshape(settings.ensembles, walkers, -1)
     ensembles = Ensembles(target, starts, local.centre, local.covariance, walk_seed)
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
-    tail = 0.5 - 0.5 * settings.level
-
-    def bounds(chains: FloatArray) -> FloatArray:
-        pooled = chains.reshape(-1, chains.shape[-1])[:, gaps]
-        return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
-
-    return walk(ensembles, settings, bounds, np.sqrt(np.diag(local.covariance))[gaps], progress)
+    return walk(
+        ensembles,
+        settings,
+        lambda chains: ends(chains[..., gaps], settings.level, (0, 1, 2)),
+        np.sqrt(np.diag(local.covariance))[gaps],
+        progress,
+    )
 
 
 def _covariance(points: FloatArray) -> FloatArray:

@@ -154,7 +154,9 @@ def gaps(
         matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
         threshold = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
         contradictions = [
-            bool(-2.0 * match.max() > threshold and _is_inside(curve, amplitude))
+            # The sweep must cover this amplitude, so that its ringing is known there.
+            bool(-2.0 * match.max() > threshold)
+            and float(np.mean(curve.outside(amplitude) != 0.0)) < LARGEST_SHARE_OUTSIDE
             for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
         ]
         posterior_weights = prior + np.sum(matches, axis=0)
@@ -244,11 +246,6 @@ def _log_match(
     return np.asarray(
         -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(covariance), difference)
     )
-
-
-def _is_inside(curve: GapCurve, amplitude_rpm: FloatArray) -> bool:
-    """Whether the sweep covers this amplitude, so that its ringing is known there."""
-    return float(np.mean(curve.outside(amplitude_rpm) != 0.0)) < LARGEST_SHARE_OUTSIDE
 
 
 def _log(values: FloatArray) -> FloatArray:

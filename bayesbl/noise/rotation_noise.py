@@ -360,7 +360,10 @@ def estimate_noise(
     hidden = 0.0 if steps is None else max(steps.sd_rpm**2 - variance, 0.0)
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated
-    series = _summed(d) if differentiated else d
+    series = d
+    if differentiated:
+        centred = d - np.nanmean(d)
+        series = np.cumsum(np.nan_to_num(centred)) + 0.0 * centred  # nan where d is
     log_variances, by_order = burg(series, HIGHEST_ORDER)
     evidence = bic(log_variances, count)
     evidence -= evidence.min()
@@ -387,9 +390,3 @@ def estimate_noise(
         differentiated,
         math.sqrt(hidden),
     )
-
-
-def _summed(d: FloatArray) -> FloatArray:
-    """Running sum about the mean; NaN where d is."""
-    centred = d - np.nanmean(d)
-    return np.asarray(np.cumsum(np.nan_to_num(centred)) + 0.0 * centred)

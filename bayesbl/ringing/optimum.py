@@ -24,6 +24,7 @@ import numpy as np
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.guess import (
+    SAMPLES_PER_RINGING,
     first_turn,
     guesses,
     phase_distance_s,
@@ -311,7 +312,6 @@ def _same(a: dict[str, float], b: dict[str, float]) -> bool:
     )
 
 
-STEPS_PER_RINGING = 8.0
 PERIOD_STEPS = np.arange(-2.0, 3.0)
 """Trial rotation periods, in quarters of a ringing of drift over the recording."""
 FREQUENCY_FACTORS = np.array([0.9, 1.0, 1.1])
@@ -401,7 +401,7 @@ def _folds(objective: Objective, old: Mapping[str, float]) -> FloatArray:
     axes = {name: np.array([old[name]]) for name in objective.searched}
     axes[SEPARATION] = np.array([old[SEPARATION] * rotation / old[ROTATION]])
     begin, _ = objective.model.ranges.get(START, (objective.time_s[0], math.inf))
-    axes[START] = begin + np.arange(0.0, rotation, ringing / STEPS_PER_RINGING)
+    axes[START] = begin + np.arange(0.0, rotation, ringing / SAMPLES_PER_RINGING)
     axes[ROTATION] = rotation + drift * PERIOD_STEPS
     axes[FREQUENCY] = old[FREQUENCY] * FREQUENCY_FACTORS
     low, high = bounds(objective)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.errors import ConfigError
+from bayesbl.probabilities import ends
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.covariance import PointEstimate
@@ -98,10 +99,16 @@ def sample_posterior(
     ensembles = Ensembles.around(
         target, optimum.searched, local, box, settings.ensembles, walk_seed
     )
+
+    def amplitude_ends(chains: FloatArray) -> FloatArray:
+        """Ends of the interval of A's conditional mean over all ensembles, rpm."""
+        points = np.concatenate([thinned(chain, DRAWS_FOR_EDGES) for chain in chains])
+        return ends(objective.solve(points).coefficients[:, -1], settings.level)
+
     walked = walk(
         ensembles,
         settings,
-        lambda chains: _interval_edges(objective, chains, settings.level),
+        amplitude_ends,
         math.sqrt(spread.sandwich[0, 0]),
         progress,
     )
@@ -139,13 +146,6 @@ def _other_answer(point: PointEstimate, target: LogPosterior) -> Contender | Non
         contenders = weighed_by_likelihood(target, point.optimum)
     different = [c for c in contenders if abs(c.amplitude_rpm - amplitude_rpm) > sd]
     return max(different, key=lambda c: c.log_odds, default=None)
-
-
-def _interval_edges(objective: Objective, chains: FloatArray, level: float) -> FloatArray:
-    """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
-    points = np.concatenate([thinned(chain, DRAWS_FOR_EDGES) for chain in chains])
-    amplitude = objective.solve(points).coefficients[:, -1]
-    return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
 
 
 def complete(
@@ -255,8 +255,8 @@ class SamplerCheck:
         return f"The second sampler disagrees with emcee: {differences}."
 
 
-def require_second_sampler() -> None:
-    """Raise :class:`ConfigError`, which names the extra, if dynesty is not installed."""
+def require_second_sampler() -> str:
+    """The second sampler; raises :class:`ConfigError`, which names the extra, if it is missing."""
     if importlib.util.find_spec("dynesty") is None:
         raise ConfigError(
             "The second sampler is not installed.",
@@ -264,6 +264,7 @@ def require_second_sampler() -> None:
             found="no package dynesty",
             expected="dynesty, from: pip install 'bayesbl[check]'",
         )
+    return "dynesty"
 
 
 def check_sampler(
