@@ -19,7 +19,7 @@ from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.steady import noise_through_loop, settling_time_s
 from bayesbl.errors import BenchError, SimulationError
-from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
+from bayesbl.noise.process import NO_NOISE, NoiseModel
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -88,7 +88,8 @@ class Measurement:
                 current = current + response
             speed = speed + noise
         if self.encoder_counts is not None:
-            position = quantised(position, self.encoder_counts)
+            count = 2.0 * math.pi / self.encoder_counts
+            position = np.rint(position / count) * count
         if self.speed_source == "encoder":
             difference = np.diff(position) * sampling_hz * RPM_PER_RAD_PER_S
             speed = np.concatenate((difference[:1], difference))
@@ -123,7 +124,6 @@ def simulate_channels(
     workers: int = 1,
     failures: str = "raise",
     speed_alone: bool = False,
-    ends: FloatArray | None = None,
 ) -> FloatArray:
     """Noise-free signals in steady rotation.
 
@@ -141,8 +141,6 @@ def simulate_channels(
         Threads; the numbers do not depend on it.
     failures
         ``"raise"``, or ``"nan"`` to fill failed rows with nan, for samplers.
-    ends
-        Output: the states at the first sample, as :func:`start_states` returns them.
 
     Returns
     -------
@@ -160,7 +158,7 @@ def simulate_channels(
     accuracy = _accuracy_rpm(accuracy_rpm, parameter_matrix[:, Slot.reference_speed_rpm])
     matrix = _sound(parameter_matrix, out, sampling_hz, accuracy)
     settling = settling_time_s(matrix, accuracy, failures)
-    states = _room_for_states(matrix) if ends is None else ends
+    no_state = np.empty(0)
 
     def run(row: int) -> int:
         if math.isnan(settling[row]):
@@ -172,7 +170,7 @@ def simulate_channels(
             moments,
             accuracy[row],
             out[row],
-            states[row],
+            no_state,
         )[0]
         return status
 
@@ -268,23 +266,6 @@ def simulate_states(
     if status != kernel.DONE:
         raise SimulationError(f"At {time:.4g} s {_REASONS[status]}.")
     return out
-
-
-def start_states(parameter_matrix: FloatArray, *, accuracy_rpm: float | None = None) -> FloatArray:
-    """States at the first sample of a steady rotation, SI.
-
-    Shape (m, 18), plus the waiting torques of a sampled controller.
-    """
-    states = _room_for_states(parameter_matrix)
-    simulate_channels(
-        parameter_matrix, 1, 1.0, accuracy_rpm=accuracy_rpm, speed_alone=True, ends=states
-    )
-    return states
-
-
-def _room_for_states(matrix: FloatArray) -> FloatArray:
-    waiting = max(map(kernel.waiting_torques, matrix), default=0)
-    return np.empty((matrix.shape[0], STATES + waiting))
 
 
 def _even_s(out: FloatArray, sampling_hz: float) -> FloatArray:
