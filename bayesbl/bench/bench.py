@@ -440,19 +440,13 @@ class Bench:
 _ANGLES = 720
 
 
-def steady_rotation(bench: Bench, reference_speed_rpm: float) -> RigidMotion:
-    """One rotation of the load at constant speed, from where it hangs straight down."""
+def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
+    """Smallest and largest torque that the gear transmits in a rotation, N m at the load."""
     ratio, speed = bench.value("gear_ratio"), reference_speed_rpm / RPM_PER_RAD_PER_S
     angle = math.copysign(ratio, speed) * np.linspace(0.0, 2.0 * math.pi, _ANGLES)
     speeds = np.full(_ANGLES, speed)
     sway = -(speeds**2) * np.exp(1j * angle)
-    return RigidMotion(angle / speed, angle, speeds, np.zeros(_ANGLES), sway)
-
-
-def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
-    """Smallest and largest torque that the gear transmits in a rotation, N m at the load."""
-    motion = steady_rotation(bench, reference_speed_rpm)
-    ratio = bench.value("gear_ratio")
+    motion = RigidMotion(angle / speed, angle, speeds, np.zeros(_ANGLES), sway)
     torque = ratio * bench.transmitted_torque(motion)
     for term in bench.learned_terms:
         if term.side == "load":

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,19 +160,11 @@ def simulate_channels(
     settling = settling_time_s(matrix, accuracy, failures)
     no_state = np.empty(0)
 
-    def run(row: int) -> int:
+    def run(row: int) -> Any:
         if math.isnan(settling[row]):
-            return kernel.DIVERGED
-        status: int = kernel.simulate(
-            matrix[row],
-            settling[row],
-            1.0 / sampling_hz,
-            moments,
-            accuracy[row],
-            out[row],
-            no_state,
-        )[0]
-        return status
+            return kernel.DIVERGED, 0
+        start = matrix[row], settling[row], 1.0 / sampling_hz
+        return kernel.simulate(*start, moments, accuracy[row], out[row], no_state)
 
     _run_rows(run, matrix, out, workers, failures)
     return out
@@ -206,17 +198,9 @@ def simulate_motions(
         matrix[:, Slot.load_inertia_kg_m2] = math.inf
     moments = _even_s(out, sampling_hz)
 
-    def run(row: int) -> int:
-        status: int = kernel.simulate_motion(
-            matrix[row],
-            motion.pieces,
-            1.0 / sampling_hz,
-            moments,
-            accuracy[row],
-            start_flank,
-            out[row],
-        )[0]
-        return status
+    def run(row: int) -> Any:
+        start = matrix[row], motion.pieces, 1.0 / sampling_hz
+        return kernel.simulate_motion(*start, moments, accuracy[row], start_flank, out[row])
 
     _run_rows(run, matrix, out, workers, failures)
     return out
@@ -297,14 +281,14 @@ def _sound(
 
 
 def _run_rows(
-    run: Callable[[int], int], matrix: FloatArray, out: FloatArray, workers: int, failures: str
+    run: Callable[[int], Any], matrix: FloatArray, out: FloatArray, workers: int, failures: str
 ) -> None:
-    """Run every row, which returns its status; raise for failed rows, or fill them with nan."""
+    """Run every row, which returns first its status; raise for failed rows, or fill with nan."""
     status = np.empty(matrix.shape[0], dtype=np.int64)
 
     def run_all(rows: NDArray[np.int64]) -> None:
         for row in rows:
-            status[row] = run(row)
+            status[row] = run(row)[0]
 
     # Small pieces, so that slow rows leave no core idle. Rows are independent, so the numbers do
     # not depend on the split.

@@ -215,8 +215,8 @@ def _answer(
             for name, column in zip(problem.parameters, draws.T, strict=True)
         },
         "gaps": {
-            name: None if withheld else interval(column, level, kind)
-            for name, column in _gaps(result, problem).items()
+            name: None if withheld else interval(result.posterior.values(GAP, name), level, kind)
+            for name in (observation.name for observation in problem.used)
         },
         "effects": [
             {
@@ -257,14 +257,6 @@ def _suggested(final: Explanation) -> NextRecordingSummary | None:
         return next_recording(final.fit)
     except (SimulationError, np.linalg.LinAlgError):
         return None  # a suggestion is not worth a result
-
-
-def _gaps(result: Identification, problem: Problem) -> dict[str, FloatArray]:
-    """Draws of δ by recording, in rad."""
-    return {
-        observation.name: result.posterior.values(GAP, observation.name)
-        for observation in problem.used
-    }
 
 
 def _parameter(

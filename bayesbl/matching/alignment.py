@@ -161,7 +161,10 @@ def aligned_starts(
             angle_index = model.place_of(START_ANGLE, model.recordings[i].name)
             if angle_index is not None:
                 best = np.take_along_axis(angles.reshape(shape), chosen, axis=1)
-                starts[..., angle_index] = _nearest_turn(best, model.unknowns[angle_index])
+                if math.isfinite(model.unknowns[angle_index].sd):
+                    turn, centre = 2.0 * math.pi, model.unknowns[angle_index].centre
+                    best = best - turn * np.round((best - centre) / turn)
+                starts[..., angle_index] = best
     order = np.argsort(total, axis=0, kind="stable")
     starts = np.take_along_axis(starts, order[..., None], axis=0)
     starts = starts.swapaxes(0, 1).reshape(-1, starts.shape[2])
@@ -239,14 +242,6 @@ def _best_apart(cost: FloatArray) -> NDArray[np.int64]:
         if len(chosen) == STARTS_FITTED:
             break
     return np.resize(np.array(chosen), STARTS_FITTED)
-
-
-def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
-    """The same angles, within half a turn of the prior's centre."""
-    if not math.isfinite(unknown.sd):
-        return angles
-    turn = 2.0 * math.pi
-    return np.asarray(angles - turn * np.round((angles - unknown.centre) / turn))
 
 
 def _aligned(

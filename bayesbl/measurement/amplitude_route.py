@@ -668,8 +668,7 @@ class FitJob:
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording, or recall the fit from the store of an unfinished run."""
         step = of_stage(progress, f"Sampling {self.recording.name}")
-        kept = self.work.get("fit", self, lambda: self._made(step), Fit)
-        return kept.of(self.recording, self.gear_ratio)
+        return self.work.get("fit", self, lambda: self._made(step), Fit)
 
     def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve

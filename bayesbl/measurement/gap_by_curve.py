@@ -144,8 +144,9 @@ def gaps(
     total = chains * count * copies
     shared = _shared_draws(curves, total, np.random.default_rng(shared_seed))
     amplitudes = [
-        _scattered(c, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(child))
+        a + c.start_angle_sd(a) * np.random.default_rng(child).standard_normal(a.size)
         for c, s, child in zip(curves, snapshots, own_seeds, strict=True)
+        for a in [np.repeat(s.amplitude_rpm.ravel(), copies)]
     ]
     prior = np.sum([_log(c.log_slope(a)) for c, a in zip(curves, amplitudes, strict=True)], axis=0)
     weights, notes = prior, tuple[Reason, ...]()
@@ -215,13 +216,6 @@ def _shared_draws(
             bench_rows = {name: rows for name, rows in first.rows.items() if name == "bench"}
             drawn[id(curve)] = CurveDraws(curve, {**draws.rows, **bench_rows})
     return [drawn[id(curve)] for curve in curves]
-
-
-def _scattered(
-    curve: GapCurve, amplitude_rpm: FloatArray, generator: np.random.Generator
-) -> FloatArray:
-    noise = generator.standard_normal(amplitude_rpm.size)
-    return amplitude_rpm + curve.start_angle_sd(amplitude_rpm) * noise
 
 
 def _log_match(

@@ -205,9 +205,6 @@ LEAST_LEFT = 0.05
 """Least share of A that shaking may leave."""
 
 
-NO_RECORDING = Recording("", np.zeros(0), {})
-
-
 @dataclass(frozen=True)  # no slots, because of the cached properties
 class PointEstimate:
     """Optimum, noise and covariance of one recording: everything but the sampling.
@@ -215,8 +212,7 @@ class PointEstimate:
     Attributes
     ----------
     recording
-        The recording as it was fitted. It is not stored with a finished fit, because it can be read
-        again.
+        The recording as it was fitted.
     notes
         What the reader should know about how the optimum was found.
     start
@@ -224,7 +220,7 @@ class PointEstimate:
     contenders
         Other optima weighted against this one; ``None`` to weight them by their likelihood alone.
     mended
-        The recording that was fitted, if it differs from the given one (lines or drift removed).
+        Whether it differs from the given one (lines or drift removed).
     lines
         Lines of the motor that were removed.
     shaking
@@ -234,11 +230,11 @@ class PointEstimate:
     optimum: Optimum
     noise: Noise
     spread: Covariance
-    recording: Recording = field(default=NO_RECORDING, compare=False)
+    recording: Recording
     notes: tuple[str, ...] = ()
     start: str = ""
     contenders: tuple[Contender, ...] | None = None
-    mended: Recording | None = None
+    mended: bool = False
     lines: tuple[MotorLine, ...] = ()
     shaking: tuple[OutsideLine, ...] = ()
 
