@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -100,8 +100,7 @@ class Problem:
         return [unknown for unknown in unknowns if unknown.name not in fixed]
 
 
-@dataclass(frozen=True, slots=True)
-class BeyondDataSheet:
+class BeyondSummary(TypedDict):
     """A value of the data sheet that the recordings contradict.
 
     ``believed``, ``tolerance``: by the data sheet; ``found``: by the recordings; ``deviations``:
@@ -114,7 +113,7 @@ class BeyondDataSheet:
     tolerance: float
     found: float
     deviations: float
-    could_be: tuple[str, ...]
+    could_be: list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +135,7 @@ class Match:
 
     nominal: Explanation
     final: Explanation
-    beyond: BeyondDataSheet | None = None
+    beyond: BeyondSummary | None = None
     missing: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -365,7 +364,7 @@ def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Matc
     chosen = max(valid, key=lambda entry: entry.log_evidence)
     threshold = chosen.log_evidence + math.log(1.0 - NAMED_AT)
     rivals = [e.explanation for e in valid if e is not chosen and e.log_evidence > threshold]
-    could_be, final = tuple(e.candidates[-1].name for e in rivals), chosen.explanation
+    could_be, final = [e.candidates[-1].name for e in rivals], chosen.explanation
     return Match(final, final, _beyond(final, final.candidates[-1], could_be, problem))
 
 
@@ -377,8 +376,8 @@ def _is_outside(explanation: Explanation, problem: Problem) -> bool:
 
 
 def _beyond(
-    final: Explanation, candidate: Candidate, could_be: tuple[str, ...], problem: Problem
-) -> BeyondDataSheet:
+    final: Explanation, candidate: Candidate, could_be: Sequence[str], problem: Problem
+) -> BeyondSummary:
     name, fit = candidate.name, final.fit
     (index,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
@@ -386,7 +385,14 @@ def _beyond(
     sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, index].std())
     coordinate = float(fit.point[index])
     deviations = min(abs(coordinate - end) for end in ends) / sd
-    return BeyondDataSheet(name, value, half, math.exp(coordinate), deviations, could_be)
+    return {
+        "name": name,
+        "believed": value,
+        "tolerance": half,
+        "found": math.exp(coordinate),
+        "deviations": deviations,
+        "could_be": list(could_be),
+    }
 
 
 def freed(name: str, value: float) -> Candidate:

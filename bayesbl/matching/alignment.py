@@ -39,6 +39,7 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.progress import Progress, silent
+from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 36
@@ -267,9 +268,11 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     Means are subtracted: an offset of a channel says nothing about the phase.
     """
     observation = model.recordings[recording]
-    folded, weight = _folded(observation), 1.0 / model.noise[recording].sd ** 2
-    channels, size = folded.shape
-    rate = size / observation.rotation_period_s
+    weight, turn = 1.0 / model.noise[recording].sd ** 2, observation.rotation_period_s
+    turns = [folded(row[:-1], turn * observation.sampling_hz) for row in observation.signals]
+    recorded = np.mean(turns, axis=1)
+    channels, size = recorded.shape
+    rate = size / turn
     matrix = model.vectors(points, observation, **{START_ANGLE: 0.0})
     matrix = model.bench.measurement.seen_by(matrix, observation.sampling_hz)
     simulated = model.recent.signals(
@@ -277,15 +280,15 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
         ("a rotation", channels, size, rate),
         partial(_rotations, model, channels, size, rate),
     )
-    folded = folded - folded.mean(axis=1, keepdims=True)
+    recorded = recorded - recorded.mean(axis=1, keepdims=True)
     simulated = simulated - simulated.mean(axis=2, keepdims=True)
     product = np.fft.irfft(
-        np.conj(np.fft.rfft(folded)) * np.fft.rfft(simulated), size, axis=2
-    )  # [k] = Σ_j folded_j simulated_{j+k}
+        np.conj(np.fft.rfft(recorded)) * np.fft.rfft(simulated), size, axis=2
+    )  # [k] = Σ_j recorded_j simulated_{j+k}
     gain = np.einsum("c,mck->mk", weight, product)
     power = np.einsum("c,mcj->m", weight, simulated**2)
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
-    recorded_power = float(weight @ (folded**2).sum(axis=1))
+    recorded_power = float(weight @ (recorded**2).sum(axis=1))
     chi_square = recorded_power + power - 2.0 * gain[np.arange(len(points)), best]
     rotations = observation.samples / observation.lag
     direction = math.copysign(1.0, observation.reference_speed_rpm)
@@ -301,18 +304,6 @@ def _rotations(
     """One rotation of each bench, shape (m, c, size); nan if a run fails."""
     simulated = simulate_channels(matrix, size, rate, workers=model.workers, failures="nan")
     return simulated[:, [SPEED, CURRENT][:channels]]
-
-
-def _folded(observation: Observed) -> FloatArray:
-    """Channels averaged over whole rotations, shape (c, lag)."""
-    rotations = int(
-        (observation.samples - 1) / (observation.rotation_period_s * observation.sampling_hz)
-    )
-    size = observation.lag
-    phase = (np.arange(size) / size + np.arange(rotations)[:, None]) * observation.rotation_period_s
-    positions = phase * observation.sampling_hz
-    grid = np.arange(observation.samples)
-    return np.stack([np.interp(positions, grid, row).mean(axis=0) for row in observation.signals])
 
 
 def valid_variant(fit: SimulatedFit) -> SimulatedFit:
