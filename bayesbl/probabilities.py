@@ -17,6 +17,9 @@ is called inconsistent although it is not."""
 LINE_FALSE_ALARM = 1e-5
 """The same for removing a line or a drift from a recording: a false one would cost signal."""
 
+TOO_FEW = 0.01
+"""Share of draws or simulations that is too small to decide anything."""
+
 
 def ends(draws: np.ndarray, level: float, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
     """Ends of the interval that leaves (1 − level)/2 of the draws on either side, (2, …)."""

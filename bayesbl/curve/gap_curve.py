@@ -220,12 +220,8 @@ class CurveDraws:
         return np.asarray(self.curve.gap(amplitude_rpm) * np.exp(departure))
 
 
-PUBLISHED_SCALE_RAD = 1e-4
 PUBLISHED_COEFFICIENTS = (-0.138809, 0.138764, 0.003122, -0.000009)
-PUBLISHED_LAST_DIGIT = 1e-6
-PUBLISHED_GAP_RANGE_RAD = (1e-4, 4e-3)
-PUBLISHED_REFERENCE_RPM = 2000.0
-PUBLISHED_SEED = 20260301
+"""Of eq. 4, in 1e-4 rad over powers of rpm."""
 
 
 def published_curve(draws: int = 4000) -> GapCurve:
@@ -235,11 +231,11 @@ def published_curve(draws: int = 4000) -> GapCurve:
     unit of the last digit explains the difference.
     """
     centre = np.array(PUBLISHED_COEFFICIENTS)
-    coefficients = PUBLISHED_SCALE_RAD * centre
-    ends = [_amplitude_of(coefficients, gap) for gap in PUBLISHED_GAP_RANGE_RAD]
-    knots = np.geomspace(ends[0], ends[1], KNOTS)
-    half = 0.5 * PUBLISHED_LAST_DIGIT
-    generator = np.random.default_rng(PUBLISHED_SEED)
+    coefficients = 1e-4 * centre
+    low, high = (_amplitude_of(coefficients, gap_rad) for gap_rad in (1e-4, 4e-3))
+    knots = np.geomspace(low, high, KNOTS)
+    half = 0.5e-6  # of the last digit
+    generator = np.random.default_rng(20260301)
     rounded = centre + generator.uniform(-half, half, size=(draws, centre.size))
     powers = knots[None, :] ** np.arange(centre.size)[:, None]
     return GapCurve(
@@ -256,7 +252,7 @@ def published_curve(draws: int = 4000) -> GapCurve:
             "no probability of a limit, no rate and no date. A bench of your joint (--bench) gives "
             "a curve of its own.",
         ),
-        reference_speed_rpm=PUBLISHED_REFERENCE_RPM,
+        reference_speed_rpm=2000.0,
     )
 
 

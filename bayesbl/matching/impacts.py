@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -77,23 +78,7 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         assert gap is not None
         gap_direction = slopes @ covariance[gap]
         halves = _halves(gap_direction, len(observation.signals))
-
-        def scores(
-            weights: FloatArray,
-            residual: FloatArray = residual,
-            slopes: FloatArray = slopes,
-            halves: FloatArray = halves,
-        ) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Scores of impacts, (g,), with their covariance by the recorder's noise and halves."""
-            weighted = weights[:, None] * halves
-            power = np.sum(weighted**2, axis=2)
-            # A lost impact says nothing.
-            kept = power > 0.5 * np.median(power, axis=0)
-            kinds = np.broadcast_to(np.arange(2.0), power.shape)
-            by_unknown = np.einsum("rhm,rmd->rhd", weighted, slopes)[kept]
-            spread = np.diag(power[kept]) - by_unknown @ hidden @ by_unknown.T
-            return np.sum(weighted * residual[:, None], axis=2)[kept], spread, kinds[kept]
-
+        scores = partial(_scores, residual=residual, slopes=slopes, halves=halves, hidden=hidden)
         loop = loop_noise(fit, index)
         scatter = Scatter.of(
             *scores(gap_direction), None if loop is None else loop.factors(gap_direction)
@@ -109,6 +94,24 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         jacobian = np.stack([row[index].ravel() for row in rows[1:]], axis=1)
         impacts.append(Impacts(index, jacobian, scatter, factors, timing_variance))
     return impacts
+
+
+def _scores(
+    weights: FloatArray,
+    residual: FloatArray,
+    slopes: FloatArray,
+    halves: FloatArray,
+    hidden: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Scores of impacts, (g,), with their covariance by the recorder's noise and halves."""
+    weighted = weights[:, None] * halves
+    power = np.sum(weighted**2, axis=2)
+    # A lost impact says nothing.
+    kept = power > 0.5 * np.median(power, axis=0)
+    kinds = np.broadcast_to(np.arange(2.0), power.shape)
+    by_unknown = np.einsum("rhm,rmd->rhd", weighted, slopes)[kept]
+    spread = np.diag(power[kept]) - by_unknown @ hidden @ by_unknown.T
+    return np.sum(weighted * residual[:, None], axis=2)[kept], spread, kinds[kept]
 
 
 def scattered(

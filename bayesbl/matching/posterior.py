@@ -23,7 +23,7 @@ from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
-from bayesbl.probabilities import FALSE_ALARM, chi2_sf, ends
+from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, chi2_sf, ends
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import (
@@ -57,8 +57,6 @@ FEWEST_EFFECTIVE = 100.0
 The share of the posterior between two quantiles of n draws has the standard deviation √(p(1−p)/n),
 with p its level.
 """
-AT_BOUND_SHARE = 0.01
-LARGEST_FAILED_SHARE = 0.01
 LEVEL = 0.9
 MATTERS = 0.2
 """Share of an interval by which an error may move δ or its change without being reported."""
@@ -478,12 +476,12 @@ def _judge(
     diagnostics = drawn.walked.judged(
         {u.label: draws[..., i] for i, u in enumerate(model.unknowns)}
     )
-    failures = _at_bound(model, draws)
+    failures = [*_at_bound(model, draws)]
     if effective < FEWEST_EFFECTIVE:
         count = draws.shape[0] * draws.shape[1]
         values = {"effective": effective, "draws": count, "needed": FEWEST_EFFECTIVE}
         failures.append(Flaw(why, values))
-    if failed > LARGEST_FAILED_SHARE:
+    if failed > TOO_FEW:
         failures.append(Flaw("simulations_failed", {"share": failed}))
     return replace(
         diagnostics,
@@ -536,9 +534,8 @@ def _contradicted(
             yield i, side, reach, Flaw("at_edge", {"name": unknown.label, "side": side, **ends})
 
 
-def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
-    """Gaps whose posterior is cut off by the prior's range."""
-    flaws = []
+def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Iterator[Flaw]:
+    """Yield gaps whose posterior is cut off by the prior's range."""
     for i, unknown in enumerate(model.unknowns):
         if unknown.name != GAP:
             continue
@@ -549,7 +546,6 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
             ("upper", np.mean(coordinates > unknown.high - margin)),
         ):
             # If the range begins at zero gap, nothing is cut off there.
-            if share > AT_BOUND_SHARE and not (side == "lower" and unknown.offset):
+            if share > TOO_FEW and not (side == "lower" and unknown.offset):
                 low, high = unknown.value(np.array([unknown.low, unknown.high])).tolist()
-                flaws.append(Flaw("gap_at_bound", {"side": side, "low": low, "high": high}))
-    return flaws
+                yield Flaw("gap_at_bound", {"side": side, "low": low, "high": high})

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from bayesbl.config.measurement import KnownGap
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve
 from bayesbl.measurement.measurement import Reason, upper_bound
-from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
+from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import effective_size, resampled
 
-LARGEST_SHARE_OUTSIDE = 0.01
 CANDIDATES_PER_DRAW = 20
 CONTRADICTED = "ringing_contradicts_bench"
 """Code of the reason that frequency and decay contradict the curve's bench."""
@@ -100,7 +99,7 @@ class Gap:
     @property
     def upper_bound_rad(self) -> float | None:
         """Upper bound of δ at 95 %, if some draws of A lie below the curve's range."""
-        if float(np.mean(self.outside_curve < 0.0)) < LARGEST_SHARE_OUTSIDE:
+        if float(np.mean(self.outside_curve < 0.0)) < TOO_FEW:
             return None
         return upper_bound(self.delta_rad)
 
@@ -157,7 +156,7 @@ def gaps(
         contradictions = [
             # The sweep must cover this amplitude, so that its ringing is known there.
             bool(-2.0 * match.max() > threshold)
-            and float(np.mean(curve.outside(amplitude) != 0.0)) < LARGEST_SHARE_OUTSIDE
+            and float(np.mean(curve.outside(amplitude) != 0.0)) < TOO_FEW
             for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
         ]
         posterior_weights = prior + np.sum(matches, axis=0)
@@ -251,7 +250,7 @@ def _extrapolation(
 ) -> list[Reason]:
     """Why an answer outside the curve's range is withheld, with a one-sided bound."""
     share = float(np.mean(outside != 0.0))
-    if share < LARGEST_SHARE_OUTSIDE:
+    if share < TOO_FEW:
         return []
     low, high = range_rad
     above = bool(np.sum(outside > 0.0) >= np.sum(outside < 0.0))

@@ -41,7 +41,7 @@ from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Answer, Reason
 from bayesbl.measurement.summary_types import WearSummary
-from bayesbl.probabilities import FALSE_ALARM, ends, normal_sf
+from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, ends, normal_sf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
@@ -211,9 +211,6 @@ def _small(exponent: FloatArray) -> FloatArray:
 FEWEST_FOR_SCATTER = 4
 """Fewest snapshots that can distinguish irregular wear from measurement errors."""
 
-LEAST_SHARE_GROWING = 0.01
-"""Least share of growing draws; below it the gap has shrunk, which wear cannot do."""
-
 LONGEST_YEARS = 1000.0
 """Longest time to the limit: with a rate near 0 it would have no bound."""
 
@@ -314,7 +311,7 @@ def wear(
 ) -> xr.Dataset | None:
     """Law, rate, present gap and time to the limit, from snapshots without a repair between them.
 
-    Returns group :data:`WEAR`, or ``None`` if less than ``LEAST_SHARE_GROWING`` of the draws grow:
+    Returns group :data:`WEAR`, or ``None`` if less than ``TOO_FEW`` of the draws grow:
     the gap shrank.
 
     Parameters
@@ -347,7 +344,7 @@ def wear(
     (first, growth), _ = _fit(gaps - path, elapsed, problem.own, scatter**2)
     current = first + growth + path[-1]
     grows = np.flatnonzero((growth > scatter / SCATTER[1]) & (current > first))
-    if grows.size < LEAST_SHARE_GROWING * count:
+    if grows.size < TOO_FEW * count:
         return None
     # Replace every falling draw by a growing one.
     place = np.arange(count)
@@ -373,7 +370,7 @@ def wear(
         is_ahead = needed > 0.0
         values["years_to_limit"] = np.where(is_ahead, span * (spans - 1.0), 0.0)
         values["changes_ahead"] = np.where(is_ahead & laws.changes_before(spans), 1.0, 0.0)
-        if is_ahead.mean() > LEAST_SHARE_GROWING:
+        if is_ahead.mean() > TOO_FEW:
             width = _log_width(spans[is_ahead] - 1.0) / _log_width(prior_spans[is_ahead] - 1.0)
             attrs["width_over_prior"] = width
     draws = delta_rad.shape[1:]

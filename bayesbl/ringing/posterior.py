@@ -116,7 +116,10 @@ def sample_posterior(
     points = np.stack([thinned(chain) for chain in walked.chains])
     draws, baseline, log_likelihood = complete(point, points, generator)
     diagnostics = walked.judged(
-        draws, point.signal_to_noise, _at_bound(objective, points), _other_answer(point, target)
+        draws,
+        signal_to_noise=point.signal_to_noise,
+        at_bound=_at_bound(objective, points),
+        other_answer=_other_answer(point, target),
     )
     return Posterior(draws, baseline, log_likelihood, diagnostics)
 
@@ -204,9 +207,6 @@ def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
     return dict(zip(objective.searched, close.mean(axis=(0, 1)).tolist(), strict=True))
 
 
-LIVE_POINTS = 400
-LAST_EVIDENCE = 0.1
-"""ln of the share of the evidence that may be left unsampled."""
 HALF_WIDTH_SD = 12.0
 """Half width of a box, in local standard deviations of the symbols."""
 FAINTEST_LOG_ODDS = -7.0
@@ -337,11 +337,12 @@ def _nested(
         lambda x: float(target(x[None])[0]),
         lambda u: low + u * (high - low),
         low.size,
-        nlive=LIVE_POINTS,
+        nlive=400,
         sample="unif",
         rstate=np.random.default_rng(run_seed),
     )
-    sampler.run_nested(dlogz=LAST_EVIDENCE, print_progress=False)
+    # ln of the evidence changes by at most 0.1 by what is left unsampled.
+    sampler.run_nested(dlogz=0.1, print_progress=False)
     results = sampler.results
     points = np.asarray(results.samples_equal(rstate=np.random.default_rng(weight_seed)))
     volume = float(np.sum(np.log(high - low)))
