@@ -144,7 +144,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         "agrees": float(found.verdict == "agrees" and found.beyond is None),
     }
     if wrong is not None:
-        names = () if found.beyond is None else (found.beyond["name"], *found.beyond["could_be"])
+        names = () if found.beyond is None else (found.beyond.name, *found.beyond.could_be)
         return values | {
             "named": float(wrong in names),
             "named_alone": float(names == (wrong,)),

@@ -262,14 +262,12 @@ class Bench:
         *,
         rotations: float = 5.0,
         sampling_hz: float = 1000.0,
-        start_angle_rad: float | FloatArray = 0.0,
-        reference_speed_rpm: float | None = None,
-        overrides: Mapping[str, float | FloatArray] | None = None,
         channels: Literal["speed", "all"] = "speed",
         accuracy_rpm: float | None = None,
         workers: int = 1,
+        **settings: Any,
     ) -> FloatArray:
-        """Noise-free signals for arrays of gaps, start angles and parameter values of length m.
+        """Noise-free signals for arrays of gaps and of other ``settings`` of :meth:`vector`, (m,).
 
         The number of samples is that of the nominal reference speed.
 
@@ -283,14 +281,9 @@ class Bench:
         BenchError
             As :func:`simulate_channels`.
         """
-        matrix = self.vector(
-            gap_rad=gap_rad,
-            start_angle_rad=start_angle_rad,
-            reference_speed_rpm=reference_speed_rpm,
-            **dict(overrides or {}),
-        )
+        matrix = self.vector(gap_rad=gap_rad, **settings)
         matrix = self.measurement.seen_by(matrix, sampling_hz)
-        samples = self.samples(rotations, sampling_hz, reference_speed_rpm)
+        samples = self.samples(rotations, sampling_hz, settings.get("reference_speed_rpm"))
         signals = simulate_channels(
             matrix,
             samples,

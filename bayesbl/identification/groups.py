@@ -26,12 +26,13 @@ from bayesbl.diagnosis.groups import (
     HeldValue,
     SamplingSummary,
     interval_of,
+    plain,
     posterior_dataset,
     sampling_summary,
 )
 from bayesbl.errors import SimulationError
 from bayesbl.identification.identify import (
-    BeyondSummary,
+    BeyondDataSheet,
     Identification,
     Problem,
     Verdict,
@@ -77,6 +78,17 @@ class EffectFound(TypedDict):
     name: str
     parameters: dict[str, Interval | HeldValue]
     indistinguishable_from: list[str]
+
+
+class BeyondSummary(TypedDict):
+    """A value of the data sheet that the recordings contradict."""
+
+    name: str
+    believed: float
+    tolerance: float
+    found: float
+    deviations: float
+    could_be: list[str]
 
 
 class TogetherSummary(TypedDict):
@@ -222,7 +234,7 @@ def _answer(
             for name in _free_effects(result.final)
         ],
         "missing": [list(members) for members in result.missing],
-        "data_sheet_error": result.beyond,
+        "data_sheet_error": plain(result.beyond),
         "not_told_apart": together,
         "disagreement": table,
         "suggested_recording": _suggested(result.final),
@@ -342,15 +354,14 @@ def _lacking(result: Identification) -> str:
     return with_bench_file_hint(lacks, (members[0] for members in result.missing))
 
 
-def beyond_in_words(wrong: BeyondSummary) -> str:
+def beyond_in_words(wrong: BeyondDataSheet) -> str:
     """Which value of the data sheet is wrong, by how much, and which others it could be."""
     text = (
-        f"{wrong['name']} is {wrong['deviations']:.0f} standard deviations outside its data sheet: "
-        f"{wrong['found']:.4g} by the recordings, not {wrong['believed']:.4g} "
-        f"± {wrong['tolerance']:.2g}."
+        f"{wrong.name} is {wrong.deviations:.0f} standard deviations outside its data sheet: "
+        f"{wrong.found:.4g} by the recordings, not {wrong.believed:.4g} ± {wrong.tolerance:.2g}."
     )
-    if wrong["could_be"]:
-        text += f" It could also be {' or '.join(wrong['could_be'])}."
+    if wrong.could_be:
+        text += f" It could also be {' or '.join(wrong.could_be)}."
     return text + " Correct the data sheet, or widen this tolerance, and identify again."
 
 

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 
@@ -100,12 +100,20 @@ class Problem:
         return [unknown for unknown in unknowns if unknown.name not in fixed]
 
 
-class BeyondSummary(TypedDict):
+@dataclass(frozen=True, slots=True)
+class BeyondDataSheet:
     """A value of the data sheet that the recordings contradict.
 
-    ``believed``, ``tolerance``: by the data sheet; ``found``: by the recordings; ``deviations``:
-    distance of ``found`` from the nearer end of the tolerance, in standard deviations;
-    ``could_be``: other parameters that would explain the recordings as well, each alone.
+    Attributes
+    ----------
+    believed, tolerance
+        By the data sheet.
+    found
+        By the recordings.
+    deviations
+        Distance of ``found`` from the nearer end of the tolerance, in standard deviations.
+    could_be
+        Other parameters that would explain the recordings as well, each alone.
     """
 
     name: str
@@ -113,7 +121,7 @@ class BeyondSummary(TypedDict):
     tolerance: float
     found: float
     deviations: float
-    could_be: list[str]
+    could_be: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +143,7 @@ class Match:
 
     nominal: Explanation
     final: Explanation
-    beyond: BeyondSummary | None = None
+    beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -364,7 +372,7 @@ def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Matc
     chosen = max(valid, key=lambda entry: entry.log_evidence)
     threshold = chosen.log_evidence + math.log(1.0 - NAMED_AT)
     rivals = [e.explanation for e in valid if e is not chosen and e.log_evidence > threshold]
-    could_be, final = [e.candidates[-1].name for e in rivals], chosen.explanation
+    could_be, final = tuple(e.candidates[-1].name for e in rivals), chosen.explanation
     return Match(final, final, _beyond(final, final.candidates[-1], could_be, problem))
 
 
@@ -376,8 +384,8 @@ def _is_outside(explanation: Explanation, problem: Problem) -> bool:
 
 
 def _beyond(
-    final: Explanation, candidate: Candidate, could_be: Sequence[str], problem: Problem
-) -> BeyondSummary:
+    final: Explanation, candidate: Candidate, could_be: tuple[str, ...], problem: Problem
+) -> BeyondDataSheet:
     name, fit = candidate.name, final.fit
     (index,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
@@ -385,14 +393,7 @@ def _beyond(
     sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, index].std())
     coordinate = float(fit.point[index])
     deviations = min(abs(coordinate - end) for end in ends) / sd
-    return {
-        "name": name,
-        "believed": value,
-        "tolerance": half,
-        "found": math.exp(coordinate),
-        "deviations": deviations,
-        "could_be": list(could_be),
-    }
+    return BeyondDataSheet(name, value, half, math.exp(coordinate), deviations, could_be)
 
 
 def freed(name: str, value: float) -> Candidate:

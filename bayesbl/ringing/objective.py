@@ -156,8 +156,9 @@ class Objective:
         values = self.model.named(point) | {AMPLITUDE: amplitude, MEAN: mean}
         return {name: values[name] for name in SYMBOLS}, solution
 
-    def _matrix(self, searched: FloatArray) -> FloatArray:
-        """Kernel columns from the searched symbols and the fixed ones."""
+    def _evaluate(
+        self, searched: FloatArray, *, keep: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         rows = np.atleast_2d(np.asarray(searched, dtype=np.float64))
         values: dict[str, Any] = {MEAN: 0.0, **self.model.fixed}
         values |= zip(self.searched, rows.T, strict=True)
@@ -172,13 +173,7 @@ class Objective:
         out_of_reach = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
         too_short = matrix[:, kernel.ROTATION] < SHORTEST_ROTATION_S
         matrix[out_of_reach | too_short, kernel.ROTATION] = np.nan
-        return matrix
-
-    def _evaluate(
-        self, searched: FloatArray, *, keep: bool
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        matrix, c = self._matrix(searched), 2 + 2 * self.model.baseline_harmonics
-        m = len(matrix)
+        m, c = len(matrix), 2 + 2 * self.model.baseline_harmonics
         stored_rows = m if keep else 0
         solutions = np.empty((stored_rows, c)), np.empty((stored_rows, c, c))
         output = (np.empty(m), np.empty(m), *solutions)

@@ -23,7 +23,7 @@ from bayesbl.noise.rotation_noise import (
     log_normal,
     log_t,
 )
-from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.optimum import bounds
 from bayesbl.ringing.symbols import AMPLITUDE, ROTATION, SYMBOLS
@@ -60,17 +60,16 @@ def log_likelihood(
     """
     noise, rotation = point.noise, rotations_of(point)[point.noise.order :]
     begins = np.searchsorted(rotation, np.arange(rotation[-1] + 1))
-    known = _known_innovations(point.objective.used, noise.order)[noise.order :]
-    freedom, scale = noise.degrees_of_freedom, 1.0
+    known, scale = _known_innovations(point), innovation_sd(noise)
+    freedom = noise.degrees_of_freedom
     if freedom is not None:
-        scale = math.sqrt((freedom - 2.0) / freedom)
-    log_scale = math.log(scale * innovation_sd(noise))
+        scale *= math.sqrt((freedom - 2.0) / freedom)
     densities = np.empty((*baseline_rpm.shape[:-1], begins.size))
     for place in np.ndindex(densities.shape[:-1]):
         residual = point.objective.speed_rpm - speed_at(point, draws, baseline_rpm, place)
-        whitened = _whitened(point, residual[:, None])[:, 0] / scale
-        log_density = log_normal(whitened) if freedom is None else log_t(whitened, freedom)
-        densities[place] = np.add.reduceat(known * (log_density - log_scale), begins)
+        e = _innovations(point, residual[:, None])[:, 0] / scale
+        log_density = log_normal(e) if freedom is None else log_t(e, freedom)
+        densities[place] = np.add.reduceat(known * (log_density - math.log(scale)), begins)
     return densities
 
 
@@ -107,7 +106,9 @@ def likelihood_draws(
     """
     objective, optimum, names = point.objective, point.optimum, point.spread.names
     columns = jacobian(optimum.model, objective.time_s, optimum.symbols, optimum.baseline_rpm)
-    whitened = _whitened(point, np.column_stack([columns, np.nan_to_num(point.residual_rpm)]))
+    columns = np.column_stack([columns, np.nan_to_num(point.residual_rpm)])
+    whitened = _innovations(point, columns) / innovation_sd(point.noise)
+    whitened *= _known_innovations(point)[:, None]
     curvature = whitened[:, :-1].T @ whitened[:, :-1]
     covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
     symbols = [name for name in names if name in SYMBOLS]
@@ -129,20 +130,17 @@ def likelihood_draws(
     return None if sample is None else named(sample[0])
 
 
-def _whitened(point: PointEstimate, columns: FloatArray) -> FloatArray:
-    """Whitened columns (n, p): innovations over their standard deviation; 0 at missing samples."""
+def _innovations(point: PointEstimate, columns: FloatArray) -> FloatArray:
+    """Innovations of columns (n, p), of any value where samples are missing, (n − order, p)."""
     noise, used = point.noise, point.objective.used
     if noise.differentiated:
         columns = np.cumsum(np.where(used[:, None], columns - columns[used].mean(axis=0), 0.0), 0)
-    order = noise.order
-    e = np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
-    return e / innovation_sd(noise) * _known_innovations(used, order)[order:, None]
+    return np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
 
 
-def _known_innovations(used: BoolArray, order: int) -> FloatArray:
-    """1 where a sample and the ``order`` before it are all present, else 0, shape (n,)."""
-    missing = np.convolve(~used, np.ones(order + 1), "full")[: used.size]
-    missing[:order] = 1.0
+def _known_innovations(point: PointEstimate) -> FloatArray:
+    """1 where a sample and the ``order`` before it are all present, else 0, (n − order,)."""
+    missing = np.convolve(~point.objective.used, np.ones(point.noise.order + 1), "valid")
     return np.asarray(missing < 0.5, dtype=np.float64)
 
 

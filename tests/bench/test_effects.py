@@ -544,9 +544,7 @@ def test_a_bench_carries_effects_by_name() -> None:
     assert bench.fingerprint() != BENCH.fingerprint()
     assert np.array_equal(
         bench.simulate_many(GAP, rotations=0.5),
-        BENCH.simulate_many(
-            GAP, rotations=0.5, overrides={"load_coulomb_friction__torque_nm": 15.0}
-        ),
+        BENCH.simulate_many(GAP, rotations=0.5, load_coulomb_friction__torque_nm=15.0),
     )
     with pytest.raises(BenchError, match="no such effect"):
         effect_named("friction")

@@ -267,8 +267,8 @@ def test_a_value_wrong_by_far_is_named(name: str, wrong: float) -> None:
     found = far_beyond_data_sheet(problem(data_sheet(**{name: wrong})))
     assert found is not None
     assert found.beyond is not None
-    assert found.beyond["name"] == name
-    assert found.beyond["found"] == pytest.approx(joint().value(name), rel=0.3)
+    assert found.beyond.name == name
+    assert found.beyond.found == pytest.approx(joint().value(name), rel=0.3)
 
 
 def test_a_wrong_value_is_named_although_others_make_up_for_it() -> None:
