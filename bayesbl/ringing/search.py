@@ -142,7 +142,10 @@ def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
     d = start.size
     generator = np.random.default_rng(seed)
     count = POINTS_PER_COEFFICIENT * (1 + d + d * (d + 1) // 2)
-    unit = _ball(generator, count, d)
+    # Points that fill a ball of radius √(d + 2): unit variance in every direction.
+    unit = generator.standard_normal((count, d))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    unit *= np.sqrt(d + 2.0) * generator.uniform(size=(count, 1)) ** (1.0 / d)
     inverse = np.linalg.pinv(quadratic_terms(unit))
     centre = start
     best = float(objective.sum_of_squares(centre[None])[0])
@@ -166,14 +169,6 @@ def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
         if radius < LAST_RADIUS_RPM:
             break
     return centre
-
-
-def _ball(generator: np.random.Generator, count: int, d: int) -> FloatArray:
-    """Points filling a ball of radius √(d + 2): unit variance in every direction."""
-    direction = generator.standard_normal((count, d))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    length = np.sqrt(d + 2.0) * generator.uniform(size=(count, 1)) ** (1.0 / d)
-    return np.asarray(direction * length)
 
 
 def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:
