@@ -17,6 +17,14 @@ is called inconsistent although it is not."""
 LINE_FALSE_ALARM = 1e-5
 """The same for removing a line or a drift from a recording: a false one would cost signal."""
 
+TOO_FEW = 0.01
+"""Share of draws or simulations that is too small to decide anything."""
+
+
+def ends(draws: np.ndarray, level: float, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
+    """Ends of the interval that leaves (1 − level)/2 of the draws on either side, (2, …)."""
+    return np.asarray(np.quantile(draws, (0.5 - 0.5 * level, 0.5 + 0.5 * level), axis=axis))
+
 
 def normal_sf(z: float) -> float:
     """P(Z > z), Z standard normal."""

@@ -16,11 +16,12 @@ from collections.abc import Callable
 
 import numba
 import numpy as np
+from made_recordings import start_state
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench import kernel
 from bayesbl.bench.kernel import RPM, STATES, Slot
-from bayesbl.bench.simulation import simulate_channels, start_states
+from bayesbl.bench.simulation import simulate_channels
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.config.bench import reference_bench
 
@@ -81,7 +82,7 @@ def scipy_speed(parameters: np.ndarray, method: str, tolerance: float) -> tuple[
         ]
     ]
     q[8] /= RPM
-    state = start_states(parameters[None], accuracy_rpm=1e-3)[0]
+    state = start_state(parameters, accuracy_rpm=1e-3)
     n = q[0]
     start = [state[0], state[1], state[0] / n - state[2], state[1] / n - state[3], state[4]]
     times = np.arange(SAMPLES) / SAMPLING_HZ

@@ -36,8 +36,7 @@ from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, SMALLEST_GAP_RAD
 from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, outcome_of, upper_bound
-from bayesbl.measurement.motion_verdict import EXCLUDED_SHARE
-from bayesbl.probabilities import normal_isf
+from bayesbl.probabilities import TOO_FEW, normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -143,7 +142,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     }
     tail, power = normal_isf(1.0 - UPPER_BOUND_LEVEL), normal_isf(1.0 - POWER)
     sd, change_sd = (float(np.median(own[k])) for k in ("sd_rad", "change_sd_rad"))
-    least = SMALLEST_GAP_RAD + (normal_isf(EXCLUDED_SHARE) + power) * sd
+    least = SMALLEST_GAP_RAD + (normal_isf(TOO_FEW) + power) * sd
     return line | {
         "sd_mrad": 1e3 * sd,
         "change_sd_mrad": 1e3 * change_sd,

@@ -38,7 +38,7 @@ from identify import (
 )
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.least_squares import fit_at
 from bayesbl.matching.observed import Observed
@@ -85,7 +85,7 @@ def turning(joint: Bench, speed_rpm: float) -> Observed:
 
 def stroking(joint: Bench) -> Observed:
     """The strokes of the study."""
-    motion = strokes(
+    motion = cycle(
         joint.value("gear_ratio"),
         STROKES_RAD,
         STROKES_RPM,

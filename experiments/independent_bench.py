@@ -997,9 +997,9 @@ def _main() -> None:
     motor = {"motor_start_angle_rad": 0.9}
 
     def both(settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        of_run: dict[str, Any] = {**common, **motor, **settings}
         package = bench.simulate_many(
-            **common,
-            overrides={**motor, **settings},
+            **of_run,
             rotations=1.2,
             channels="all",
             accuracy_rpm=1e-3,

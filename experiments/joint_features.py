@@ -21,8 +21,9 @@ from scipy.signal import lfilter
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.sweep import SweepSettings, sweep_nominal
-from bayesbl.measurement.joint_features import MEAN_CURRENT, features, folded_signal, harmonic_name
+from bayesbl.measurement.joint_features import MEAN_CURRENT, features, harmonic_name
 from bayesbl.measurement.same_joint import same_joint
+from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
@@ -135,8 +136,8 @@ def _shares(bench: Bench) -> tuple[float, float]:
         recording = bench.simulate(gap_rad, rotations=2.3, start_angle_rad=0.3)
         per_rotation = bench.rotation_period_s() / recording.sampling_period_s
         signals = (recording.motor_speed_rpm, recording.channels[MOTOR_CURRENT])
-        folded = np.stack([folded_signal(signal, per_rotation) for signal in signals])
-        made = features(folded, recording.sampling_period_s)
+        rotations = np.stack([folded(signal, per_rotation) for signal in signals])
+        made = features(rotations, recording.sampling_period_s)
         found.append({feature.name: feature.value for feature in made})
     first, last = found
     largest = {

@@ -16,6 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.kernel import DONE, STATES, Slot, simulate, waiting_torques
+from bayesbl.bench.simulation import ACCURACY
+from bayesbl.bench.steady import settling_time_s
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.repairs import bridge
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
@@ -139,3 +142,16 @@ def drifting(
     speed += drift * bench.value("reference_speed_rpm")
     speed += bench.measurement.speed_noise.draw(samples, generator)
     return Recording("drifting", time_s, {MOTOR_SPEED: speed})
+
+
+def start_state(parameters: FloatArray, accuracy_rpm: float | None = None) -> FloatArray:
+    """State of a bench at the first sample of a steady rotation, SI, (18,).
+
+    The torques of a sampled controller that do not act yet come behind it.
+    """
+    accuracy = accuracy_rpm or ACCURACY * abs(parameters[Slot.reference_speed_rpm])
+    settling_s = settling_time_s(parameters[None], accuracy)[0]
+    state = np.empty(STATES + waiting_torques(parameters))
+    sample = np.zeros(1), accuracy, np.empty((1, 1)), state
+    assert simulate(parameters, settling_s, 1.0, *sample)[0] == DONE
+    return state

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, PositiveInt
 from scipy.stats import spearmanr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import Limits
 from bayesbl.errors import BenchError
@@ -64,7 +64,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     bench, ranked = _ranked(row)
     planned = ranked[round(index * (len(ranked) - 1) / max(row.motions - 1, 1))]
     assert planned.expected_relative_sd is not None
-    motion = strokes(
+    motion = cycle(
         bench.value("gear_ratio"),
         planned.range_rad,
         planned.speed_rpm,

@@ -36,13 +36,12 @@ from bayesbl.matching.alignment import refitted
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed, observed
-from bayesbl.matching.posterior import TAILS
 from bayesbl.matching.predictive_check import agrees
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.model_search.always_in import directions, linearised_fit, with_far_terms_freed
 from bayesbl.model_search.joint_change import find_changes
 from bayesbl.model_search.pipeline import direct_unknowns
-from bayesbl.probabilities import normal_isf
+from bayesbl.probabilities import ends, normal_isf
 from bayesbl.recording.types import FloatArray
 
 CALLED_AT = 0.95
@@ -188,7 +187,7 @@ def _answered(
 
 
 def _holds(draws: FloatArray, truth: float) -> float:
-    low, high = np.quantile(draws, TAILS)
+    low, high = ends(draws, 0.9)
     return float(low < truth < high)
 
 

@@ -262,14 +262,12 @@ class Bench:
         *,
         rotations: float = 5.0,
         sampling_hz: float = 1000.0,
-        start_angle_rad: float | FloatArray = 0.0,
-        reference_speed_rpm: float | None = None,
-        overrides: Mapping[str, float | FloatArray] | None = None,
         channels: Literal["speed", "all"] = "speed",
         accuracy_rpm: float | None = None,
         workers: int = 1,
+        **settings: Any,
     ) -> FloatArray:
-        """Noise-free signals for arrays of gaps, start angles and parameter values of length m.
+        """Noise-free signals for arrays of gaps and of other ``settings`` of :meth:`vector`, (m,).
 
         The number of samples is that of the nominal reference speed.
 
@@ -283,14 +281,9 @@ class Bench:
         BenchError
             As :func:`simulate_channels`.
         """
-        matrix = self.vector(
-            gap_rad=gap_rad,
-            start_angle_rad=start_angle_rad,
-            reference_speed_rpm=reference_speed_rpm,
-            **dict(overrides or {}),
-        )
+        matrix = self.vector(gap_rad=gap_rad, **settings)
         matrix = self.measurement.seen_by(matrix, sampling_hz)
-        samples = self.samples(rotations, sampling_hz, reference_speed_rpm)
+        samples = self.samples(rotations, sampling_hz, settings.get("reference_speed_rpm"))
         signals = simulate_channels(
             matrix,
             samples,
@@ -440,19 +433,13 @@ class Bench:
 _ANGLES = 720
 
 
-def steady_rotation(bench: Bench, reference_speed_rpm: float) -> RigidMotion:
-    """One rotation of the load at constant speed, from where it hangs straight down."""
+def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
+    """Smallest and largest torque that the gear transmits in a rotation, N m at the load."""
     ratio, speed = bench.value("gear_ratio"), reference_speed_rpm / RPM_PER_RAD_PER_S
     angle = math.copysign(ratio, speed) * np.linspace(0.0, 2.0 * math.pi, _ANGLES)
     speeds = np.full(_ANGLES, speed)
     sway = -(speeds**2) * np.exp(1j * angle)
-    return RigidMotion(angle / speed, angle, speeds, np.zeros(_ANGLES), sway)
-
-
-def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
-    """Smallest and largest torque that the gear transmits in a rotation, N m at the load."""
-    motion = steady_rotation(bench, reference_speed_rpm)
-    ratio = bench.value("gear_ratio")
+    motion = RigidMotion(angle / speed, angle, speeds, np.zeros(_ANGLES), sway)
     torque = ratio * bench.transmitted_torque(motion)
     for term in bench.learned_terms:
         if term.side == "load":

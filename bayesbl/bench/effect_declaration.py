@@ -117,15 +117,14 @@ class EffectParameter:
 
 amplitude, shape = (partial(EffectParameter, role=role) for role in ("amplitude", "shape"))
 
-LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0
+HIGHEST_ORDER = 64.0
 
 
 def order(typical: float) -> EffectParameter:
     """Cycles per motor turn n."""
     meaning = "cycles per motor turn n, found from the data"
-    low, high = LOWEST_ORDER, HIGHEST_ORDER
     return EffectParameter(
-        ORDER, meaning, role="order", low=low, high=high, typical=typical, neutral=1.0
+        ORDER, meaning, role="order", low=0.5, high=HIGHEST_ORDER, typical=typical, neutral=1.0
     )
 
 

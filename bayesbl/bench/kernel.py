@@ -489,28 +489,33 @@ def eccentric_twist(angle, twist, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
-    """Learned error of the encoder's angle, rad, and its derivative with respect to the angle.
-
-    ε = Σ_k a_k cos(2π k θ/X) + b_k sin(2π k θ/X) of the motor's angle θ with the period X.
-    """
-    base = 2.0 * math.pi / p[Slot.encoder_error__period_rad]
-    phase = base * (angle + c.phase_offset + p[Slot.encoder_error__shift_rad])
-    first_cosine = math.cos(phase)
-    first_sine = math.sin(phase)
+def fourier(phase, orders, first_cosine, first_sine, p):  # type: ignore[no-untyped-def]
+    """Σ_k a_k cos kφ + b_k sin kφ of coefficients from these slots on, and its slope over φ."""
+    turn_cosine = math.cos(phase)
+    turn_sine = math.sin(phase)
     cosine = 1.0
     sine = 0.0
-    error = 0.0
+    value = 0.0
     slope = 0.0
-    for k in range(int(p[Slot.encoder_error__orders])):
-        turned = cosine * first_cosine - sine * first_sine
-        sine = sine * first_cosine + cosine * first_sine
+    for k in range(orders):
+        turned = cosine * turn_cosine - sine * turn_sine
+        sine = sine * turn_cosine + cosine * turn_sine
         cosine = turned
-        a = p[FIRST_ENCODER_COSINE + k]
-        b = p[FIRST_ENCODER_SINE + k]
-        error += a * cosine + b * sine
-        slope += (k + 1) * base * (b * cosine - a * sine)
-    return error, slope
+        a = p[first_cosine + k]
+        b = p[first_sine + k]
+        value += a * cosine + b * sine
+        slope += (k + 1) * (b * cosine - a * sine)
+    return value, slope
+
+
+@_jit
+def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
+    """Learned error of the encoder's angle, rad, and its derivative with respect to the angle."""
+    base = 2.0 * math.pi / p[Slot.encoder_error__period_rad]
+    phase = base * (angle + c.phase_offset + p[Slot.encoder_error__shift_rad])
+    orders = int(p[Slot.encoder_error__orders])
+    error, slope = fourier(phase, orders, FIRST_ENCODER_COSINE, FIRST_ENCODER_SINE, p)
+    return error, base * slope
 
 
 @_inlined
@@ -710,10 +715,7 @@ def load_losses(speed, p, c):  # type: ignore[no-untyped-def]
 
 @_jit
 def learned_torque(t, angle, speed, load_angle, p, c):  # type: ignore[no-untyped-def]
-    """Learned torque against the side where it acts, N m.
-
-    a_0 + Σ_k a_k cos(2π k x/X) + b_k sin(2π k x/X) of a variable x with the period X.
-    """
+    """Learned torque against the side where it acts, N m: of a variable x with the period X."""
     variable = p[Slot.learned_torque__variable]
     if variable == OVER_MOTOR_ANGLE:
         x = angle + c.phase_offset
@@ -724,16 +726,8 @@ def learned_torque(t, angle, speed, load_angle, p, c):  # type: ignore[no-untype
     else:
         x = t - c.drift_start
     phase = 2.0 * math.pi * (x + p[Slot.learned_torque__shift]) / p[Slot.learned_torque__period]
-    first_cosine = math.cos(phase)
-    first_sine = math.sin(phase)
-    cosine = 1.0
-    sine = 0.0
-    torque = p[Slot.learned_torque__constant_nm]
-    for k in range(LEARNED_HARMONICS):
-        turned = cosine * first_cosine - sine * first_sine
-        sine = sine * first_cosine + cosine * first_sine
-        cosine = turned
-        torque += p[FIRST_COSINE + k] * cosine + p[FIRST_SINE + k] * sine
+    waves, _ = fourier(phase, LEARNED_HARMONICS, FIRST_COSINE, FIRST_SINE, p)
+    torque = p[Slot.learned_torque__constant_nm] + waves
     if p[Slot.learned_torque__reverses] != 0.0:
         torque *= direction_of(speed / c.friction_width)
     return torque
@@ -970,15 +964,6 @@ def upper_edge(region, c):  # type: ignore[no-untyped-def]
     if region == (2 if c.hard else 3):
         return math.inf
     return lower_edge(region + 1, c)
-
-
-@_jit
-def region_of(twist, c):  # type: ignore[no-untyped-def]
-    """Contact region that a twist lies in."""
-    region = 0
-    while twist > upper_edge(region, c):
-        region += 1
-    return region
 
 
 # Dormand & Prince 1980; dense output as in Hairer, Nørsett, Wanner, Solving ODEs I, II.6. Written
@@ -1317,15 +1302,17 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
         if c.structured:
             rate = max(rate, scale_structure(motor_rate, speed, p, c, scale))
         turning = 0.5 * c.fastest_reference
+        order = 0.0
         if p[Slot.motor_torque_ripple__torque_nm] != 0.0:
-            rate = max(rate, turning * abs(p[Slot.motor_torque_ripple__order]))
+            order = abs(p[Slot.motor_torque_ripple__order])
         if p[Slot.gear_transmission_error__angle_rad] != 0.0:
-            rate = max(rate, turning * abs(p[Slot.gear_transmission_error__order]))
+            order = max(order, abs(p[Slot.gear_transmission_error__order]))
         if p[Slot.encoder_eccentricity__angle_rad] != 0.0:
-            rate = max(rate, turning)
+            order = max(order, 1.0)
         if p[Slot.encoder_error__orders] != 0.0:
             highest = p[Slot.encoder_error__orders]
-            rate = max(rate, turning * highest * 2.0 * math.pi / p[Slot.encoder_error__period_rad])
+            order = max(order, highest * 2.0 * math.pi / p[Slot.encoder_error__period_rad])
+        rate = max(rate, turning * order)
         if p[Slot.learned_torque__side] != 0.0:
             variable = p[Slot.learned_torque__variable]
             if variable == OVER_LOAD_ANGLE:
@@ -1353,16 +1340,14 @@ def fastest_decay(p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def is_stiffer(p):  # type: ignore[no-untyped-def]
+def is_stiffer(p, c):  # type: ignore[no-untyped-def]
     """Whether an effect is on that may be faster than the rates of :func:`error_scale`."""
     return (
-        p[Slot.speed_sensor_lag__time_s] > 0.0
+        c.structured
+        or p[Slot.speed_sensor_lag__time_s] > 0.0
         or p[Slot.current_loop_lag__time_s] > 0.0
         or p[Slot.stiffness_hardening__stiffness_nm_per_rad3] != 0.0
         or p[Slot.contact_damping__factor_s_per_rad] != 0.0
-        or p[Slot.belt__compliance_rad_per_nm] != 0.0
-        or p[Slot.arm__compliance_rad_per_nm] != 0.0
-        or p[Slot.base__compliance_rad_per_nm] != 0.0
     )
 
 
@@ -1413,7 +1398,7 @@ def integrate(  # type: ignore[no-untyped-def]
     layer = max(softness_scale(p), 0.0 if c.hard else 1.0 / c.sharpness)
     margin = CLEAR * layer
     shortest = SHORT_PHASE / max(1.0 / longest, fastest_decay(p, c))
-    if not logged or is_stiffer(p):
+    if not logged or is_stiffer(p, c):
         shortest = 0.0
     per_friction_angle = 0.0
     if p[Slot.shaft_hysteresis__torque_nm] != 0.0:
@@ -1422,9 +1407,9 @@ def integrate(  # type: ignore[no-untyped-def]
     budget = 1000 + int(MAX_STEPS_PER_SECOND * max(1.0, stop_time - t))
     runaway = 50.0 * c.fastest_reference + 1e3
     twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
-    region = region_of(twist, c) if has_edges else 0
-    if not has_edges and not c.hard:
-        region = 2
+    region = 0 if c.hard or has_edges else 2
+    while has_edges and twist > upper_edge(region, c):
+        region += 1
     right_hand_side(t, y, region, p, c, k[0])
     h = 0.1 * longest
     for _ in range(budget):
@@ -1594,15 +1579,6 @@ def hanging(load_angle, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def rest_the_structure(y, load_angle, belt_torque, p, c):  # type: ignore[no-untyped-def]
-    """Set belt, arm and base to their static deflection under these torques."""
-    if not c.structured:
-        return
-    y[BELT_TWIST] = p[Slot.belt__compliance_rad_per_nm] * belt_torque
-    _, y[ARM_TWIST], y[BASE_ANGLE] = hanging(load_angle, p, c)
-
-
-@_jit
 def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
     """Load torque on the shaft at rest, N m, and the learned torque at the motor."""
     torque, _, _ = hanging(load_angle, p, c)
@@ -1658,9 +1634,11 @@ def stand(angle, speed, acceleration, load, losses, side, p, c, y):  # type: ign
         y[TWIST] = static_twist(load, p, c) + side * gap
     y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
     y[MOTOR_SPEED] = speed
-    carried = load * c.per_ratio
-    carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
-    rest_the_structure(y, angle, carried, p, c)
+    if c.structured:
+        carried = load * c.per_ratio
+        carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
+        y[BELT_TWIST] = p[Slot.belt__compliance_rad_per_nm] * carried
+        _, y[ARM_TWIST], y[BASE_ANGLE] = hanging(angle, p, c)
     torque = load * c.per_ratio + c.motor_inertia * acceleration
     return torque + losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
 
@@ -1685,10 +1663,16 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def longest_lag(p):  # type: ignore[no-untyped-def]
-    """Longest time, s, by which a channel's value is older than its sample."""
+def lag_and_stop(p, moments):  # type: ignore[no-untyped-def]
+    """Longest time, s, by which a channel's value is older than its sample, and the end of a run.
+
+    A value logged at a tick is sent at the next.
+    """
     speed = p[FIRST_SKEW + SPEED] + p[Slot.speed_averaging__time_s]
-    return max(p[FIRST_SKEW + POSITION], speed, p[FIRST_SKEW + CURRENT])
+    lag = max(p[FIRST_SKEW + POSITION], speed, p[FIRST_SKEW + CURRENT])
+    lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
+    stop = moments[-1] + lead + 1e-9 + (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
+    return lag, stop
 
 
 @_jit
@@ -1747,17 +1731,13 @@ def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignor
     for i in range(state.size):
         state[i] = y[i] if i < y.size else 0.0
     c = constants(p, ramp_start, t)
-    lag = longest_lag(p)
-    lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
-    # A value logged at a tick is sent at the next.
-    stop = t + moments[-1] + max(0.0, -lead) + 1e-9
-    stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
+    lag, stop = lag_and_stop(p, moments)
     begun = t
     if lag > 0.0:
         # A lagging channel shows values from before the start: run once more with the time known.
         begun, y = run_begin, first
     status, _, more = integrate(
-        begun, y, stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
+        begun, y, t + stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
     )
     return status, cost + more
 
@@ -1803,8 +1783,8 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
 @_jit
 def simulate_motion(p, pieces, dt, moments, accuracy_rpm, start_flank, out):  # type: ignore[no-untyped-def]
     """Simulate a motion from its initial state into ``out``; return status and right-hand sides."""
-    lag = max(0.0, longest_lag(p))
-    lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
+    lag, stop = lag_and_stop(p, moments)
+    lag = max(0.0, lag)
     pieces = pieces.copy()
     for k in range(len(pieces)):
         pieces[k, 0] += p[Slot.reference_delay_s]
@@ -1816,8 +1796,6 @@ def simulate_motion(p, pieces, dt, moments, accuracy_rpm, start_flank, out):  # 
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
     y = np.empty(states_of(begun))
     c = constants(q, standing_state(-lag, p, begun, start_flank, y), 0.0)
-    stop = moments[-1] + lead + 1e-9
-    stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
     status, _, cost = integrate(
         -lag, y, stop, math.inf, 0.0, dt, moments, out, p, c, accuracy_rpm, pieces
     )

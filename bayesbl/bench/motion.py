@@ -124,27 +124,6 @@ def through(
     return pieces
 
 
-def strokes(
-    gear_ratio: float,
-    range_rad: tuple[float, float],
-    speed_rpm: float,
-    acceleration_rpm_per_s: float,
-    dwell_s: float,
-    duration_s: float,
-    jerk_rpm_per_s2: float | None = None,
-) -> Motion:
-    """From one end of a range of the load to the other and back, as :func:`cycle`."""
-    return cycle(
-        gear_ratio,
-        range_rad,
-        speed_rpm,
-        acceleration_rpm_per_s,
-        dwell_s,
-        duration_s,
-        jerk_rpm_per_s2,
-    )
-
-
 def cycle(
     gear_ratio: float,
     points_rad: Sequence[float],

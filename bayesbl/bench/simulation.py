@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.steady import noise_through_loop, settling_time_s
 from bayesbl.errors import BenchError, SimulationError
-from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
+from bayesbl.noise.process import NO_NOISE, NoiseModel
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -88,7 +88,8 @@ class Measurement:
                 current = current + response
             speed = speed + noise
         if self.encoder_counts is not None:
-            position = quantised(position, self.encoder_counts)
+            count = 2.0 * math.pi / self.encoder_counts
+            position = np.rint(position / count) * count
         if self.speed_source == "encoder":
             difference = np.diff(position) * sampling_hz * RPM_PER_RAD_PER_S
             speed = np.concatenate((difference[:1], difference))
@@ -123,7 +124,6 @@ def simulate_channels(
     workers: int = 1,
     failures: str = "raise",
     speed_alone: bool = False,
-    ends: FloatArray | None = None,
 ) -> FloatArray:
     """Noise-free signals in steady rotation.
 
@@ -141,8 +141,6 @@ def simulate_channels(
         Threads; the numbers do not depend on it.
     failures
         ``"raise"``, or ``"nan"`` to fill failed rows with nan, for samplers.
-    ends
-        Output: the states at the first sample, as :func:`start_states` returns them.
 
     Returns
     -------
@@ -160,21 +158,13 @@ def simulate_channels(
     accuracy = _accuracy_rpm(accuracy_rpm, parameter_matrix[:, Slot.reference_speed_rpm])
     matrix = _sound(parameter_matrix, out, sampling_hz, accuracy)
     settling = settling_time_s(matrix, accuracy, failures)
-    states = _room_for_states(matrix) if ends is None else ends
+    no_state = np.empty(0)
 
-    def run(row: int) -> int:
+    def run(row: int) -> Any:
         if math.isnan(settling[row]):
-            return kernel.DIVERGED
-        status: int = kernel.simulate(
-            matrix[row],
-            settling[row],
-            1.0 / sampling_hz,
-            moments,
-            accuracy[row],
-            out[row],
-            states[row],
-        )[0]
-        return status
+            return kernel.DIVERGED, 0
+        start = matrix[row], settling[row], 1.0 / sampling_hz
+        return kernel.simulate(*start, moments, accuracy[row], out[row], no_state)
 
     _run_rows(run, matrix, out, workers, failures)
     return out
@@ -208,17 +198,9 @@ def simulate_motions(
         matrix[:, Slot.load_inertia_kg_m2] = math.inf
     moments = _even_s(out, sampling_hz)
 
-    def run(row: int) -> int:
-        status: int = kernel.simulate_motion(
-            matrix[row],
-            motion.pieces,
-            1.0 / sampling_hz,
-            moments,
-            accuracy[row],
-            start_flank,
-            out[row],
-        )[0]
-        return status
+    def run(row: int) -> Any:
+        start = matrix[row], motion.pieces, 1.0 / sampling_hz
+        return kernel.simulate_motion(*start, moments, accuracy[row], start_flank, out[row])
 
     _run_rows(run, matrix, out, workers, failures)
     return out
@@ -270,23 +252,6 @@ def simulate_states(
     return out
 
 
-def start_states(parameter_matrix: FloatArray, *, accuracy_rpm: float | None = None) -> FloatArray:
-    """States at the first sample of a steady rotation, SI.
-
-    Shape (m, 18), plus the waiting torques of a sampled controller.
-    """
-    states = _room_for_states(parameter_matrix)
-    simulate_channels(
-        parameter_matrix, 1, 1.0, accuracy_rpm=accuracy_rpm, speed_alone=True, ends=states
-    )
-    return states
-
-
-def _room_for_states(matrix: FloatArray) -> FloatArray:
-    waiting = max(map(kernel.waiting_torques, matrix), default=0)
-    return np.empty((matrix.shape[0], STATES + waiting))
-
-
 def _even_s(out: FloatArray, sampling_hz: float) -> FloatArray:
     """Times of evenly spaced samples, (…, n) to (n,)."""
     return np.asarray(np.arange(out.shape[-1]) * (1.0 / sampling_hz), dtype=np.float64)
@@ -316,14 +281,14 @@ def _sound(
 
 
 def _run_rows(
-    run: Callable[[int], int], matrix: FloatArray, out: FloatArray, workers: int, failures: str
+    run: Callable[[int], Any], matrix: FloatArray, out: FloatArray, workers: int, failures: str
 ) -> None:
-    """Run every row, which returns its status; raise for failed rows, or fill them with nan."""
+    """Run every row, which returns first its status; raise for failed rows, or fill with nan."""
     status = np.empty(matrix.shape[0], dtype=np.int64)
 
     def run_all(rows: NDArray[np.int64]) -> None:
         for row in rows:
-            status[row] = run(row)
+            status[row] = run(row)[0]
 
     # Small pieces, so that slow rows leave no core idle. Rows are independent, so the numbers do
     # not depend on the split.

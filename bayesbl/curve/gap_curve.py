@@ -14,7 +14,7 @@ that defines the curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,22 +145,10 @@ class GapCurve:
         low, high = self.amplitude_range_rpm
         return np.where(amplitude_rpm < low, -1.0, np.where(amplitude_rpm > high, 1.0, 0.0))
 
-    def draw(
-        self, count: int, generator: np.random.Generator, sources: Collection[str] | None = None
-    ) -> CurveDraws:
-        """Draw ``count`` curves that could be the true one, shared by all snapshots.
-
-        Parameters
-        ----------
-        sources
-            Sources to draw, the others held at nominal; all of them by default.
-        """
-        drawn_rows = {}
-        for name, draws in self.sources.items():
-            rows = generator.integers(len(draws), size=count)
-            if sources is None or name in sources:
-                drawn_rows[name] = rows
-        return CurveDraws(self, drawn_rows)
+    def draw(self, count: int, generator: np.random.Generator) -> CurveDraws:
+        """Draw ``count`` curves that could be the true one, shared by all snapshots."""
+        rows = {n: generator.integers(len(d), size=count) for n, d in self.sources.items()}
+        return CurveDraws(self, rows)
 
     def start_angle_sd(self, amplitude_rpm: FloatArray) -> FloatArray:
         """Standard deviation of A over start angles at the given A, rpm, same shape."""
@@ -232,12 +220,8 @@ class CurveDraws:
         return np.asarray(self.curve.gap(amplitude_rpm) * np.exp(departure))
 
 
-PUBLISHED_SCALE_RAD = 1e-4
 PUBLISHED_COEFFICIENTS = (-0.138809, 0.138764, 0.003122, -0.000009)
-PUBLISHED_LAST_DIGIT = 1e-6
-PUBLISHED_GAP_RANGE_RAD = (1e-4, 4e-3)
-PUBLISHED_REFERENCE_RPM = 2000.0
-PUBLISHED_SEED = 20260301
+"""Of eq. 4, in 1e-4 rad over powers of rpm."""
 
 
 def published_curve(draws: int = 4000) -> GapCurve:
@@ -247,11 +231,11 @@ def published_curve(draws: int = 4000) -> GapCurve:
     unit of the last digit explains the difference.
     """
     centre = np.array(PUBLISHED_COEFFICIENTS)
-    coefficients = PUBLISHED_SCALE_RAD * centre
-    ends = [_amplitude_of(coefficients, gap) for gap in PUBLISHED_GAP_RANGE_RAD]
-    knots = np.geomspace(ends[0], ends[1], KNOTS)
-    half = 0.5 * PUBLISHED_LAST_DIGIT
-    generator = np.random.default_rng(PUBLISHED_SEED)
+    coefficients = 1e-4 * centre
+    low, high = (_amplitude_of(coefficients, gap_rad) for gap_rad in (1e-4, 4e-3))
+    knots = np.geomspace(low, high, KNOTS)
+    half = 0.5e-6  # of the last digit
+    generator = np.random.default_rng(20260301)
     rounded = centre + generator.uniform(-half, half, size=(draws, centre.size))
     powers = knots[None, :] ** np.arange(centre.size)[:, None]
     return GapCurve(
@@ -268,7 +252,7 @@ def published_curve(draws: int = 4000) -> GapCurve:
             "no probability of a limit, no rate and no date. A bench of your joint (--bench) gives "
             "a curve of its own.",
         ),
-        reference_speed_rpm=PUBLISHED_REFERENCE_RPM,
+        reference_speed_rpm=2000.0,
     )
 
 

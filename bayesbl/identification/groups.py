@@ -215,8 +215,8 @@ def _answer(
             for name, column in zip(problem.parameters, draws.T, strict=True)
         },
         "gaps": {
-            name: None if withheld else interval(column, level, kind)
-            for name, column in _gaps(result, problem).items()
+            name: None if withheld else interval(result.posterior.values(GAP, name), level, kind)
+            for name in (observation.name for observation in problem.used)
         },
         "effects": [
             {
@@ -227,7 +227,9 @@ def _answer(
                         result.final, name, result.posterior
                     ).items()
                 },
-                "indistinguishable_from": _indistinguishable(result, name),
+                "indistinguishable_from": [
+                    other for first, *rest in result.missing if first == name for other in rest
+                ],
             }
             for name in _free_effects(result.final)
         ],
@@ -255,18 +257,6 @@ def _suggested(final: Explanation) -> NextRecordingSummary | None:
         return next_recording(final.fit)
     except (SimulationError, np.linalg.LinAlgError):
         return None  # a suggestion is not worth a result
-
-
-def _indistinguishable(result: Identification, name: str) -> list[str]:
-    return [other for members in result.missing if members[0] == name for other in members[1:]]
-
-
-def _gaps(result: Identification, problem: Problem) -> dict[str, FloatArray]:
-    """Draws of δ by recording, in rad."""
-    return {
-        observation.name: result.posterior.values(GAP, observation.name)
-        for observation in problem.used
-    }
 
 
 def _parameter(
@@ -326,7 +316,9 @@ def reason_of(result: Identification) -> str | None:
         return _lacking(result)
     if result.beyond is not None:
         return beyond_in_words(result.beyond)
-    if (result.verdict == "unexplained" and not result.allows_for_misfit) or _stands_out(result):
+    unexplained = result.verdict == "unexplained" and not result.allows_for_misfit
+    # Something may still repeat although effects were named.
+    if unexplained or (result.completed and not agrees(result.check)):
         return (
             "No values within the tolerances, no single value beyond them and no effect of the "
             "catalogue explain these recordings: the bench lacks something that the joint has, "
@@ -381,8 +373,3 @@ def left_over(check: Sequence[RepeatingPower]) -> str:
         f"The disagreement is largest in {worst.channel} of {worst.recording}, {where}: "
         f"{worst.ratio:.3g} times the power expected from noise."
     )
-
-
-def _stands_out(result: Identification) -> bool:
-    """Whether anything unexplained repeats although effects were named."""
-    return result.completed and not agrees(result.check)

@@ -104,9 +104,16 @@ class Problem:
 class BeyondDataSheet:
     """A value of the data sheet that the recordings contradict.
 
-    ``believed``, ``tolerance``: by the data sheet; ``found``: by the recordings; ``deviations``:
-    distance of ``found`` from the nearer end of the tolerance, in standard deviations;
-    ``could_be``: other parameters that would explain the recordings as well, each alone.
+    Attributes
+    ----------
+    believed, tolerance
+        By the data sheet.
+    found
+        By the recordings.
+    deviations
+        Distance of ``found`` from the nearer end of the tolerance, in standard deviations.
+    could_be
+        Other parameters that would explain the recordings as well, each alone.
     """
 
     name: str

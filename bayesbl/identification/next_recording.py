@@ -13,12 +13,9 @@ import numpy as np
 from bayesbl.diagnosis.closed_loop.prediction import ROTATIONS, SPEED_SHARES
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
 from bayesbl.matching.observed import Observed
+from bayesbl.matching.planning import LARGEST_CURRENT_SHARE
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.recording.types import FloatArray
-
-NEAR_LIMIT = 0.95
-"""Largest share of the current limit that a suggested recording may take."""
-
 
 OF_ITS_START = (START_ANGLE, REFERENCE_DELAY)
 """Unknowns that each further recording has of its own."""
@@ -143,7 +140,7 @@ def _information(
     )
     point = fit.point[indices]
     signals = single.signals(point, 0)[0]
-    limit = NEAR_LIMIT * model.bench.value("current_limit_a")
+    limit = LARGEST_CURRENT_SHARE * model.bench.value("current_limit_a")
     if not np.all(np.isfinite(signals)) or (len(signals) > 1 and np.abs(signals[1]).max() > limit):
         return None
     matrix = derivatives(single, point, fit.steps[indices])

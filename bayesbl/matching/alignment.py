@@ -29,9 +29,17 @@ from bayesbl.matching.observed import (
     without_start,
 )
 from bayesbl.matching.predictive_check import is_explained
-from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
+from bayesbl.matching.signals import (
+    AT_ONCE,
+    GAP,
+    REFERENCE_DELAY,
+    START_ANGLE,
+    SimulatedSignals,
+    Unknown,
+)
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.progress import Progress, silent
+from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 36
@@ -40,7 +48,6 @@ FRICTIONS_TRIED = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
 """Friction in usual sizes; one joint in eighty has more."""
 SHIFTS_TRIED = 4
 """Shifts of a learned term per period of its highest order."""
-POINTS_AT_ONCE = 64
 STARTS_FITTED = 3
 NOISE_ROUNDS = 2
 FORGOTTEN = 0.01
@@ -155,7 +162,10 @@ def aligned_starts(
             angle_index = model.place_of(START_ANGLE, model.recordings[i].name)
             if angle_index is not None:
                 best = np.take_along_axis(angles.reshape(shape), chosen, axis=1)
-                starts[..., angle_index] = _nearest_turn(best, model.unknowns[angle_index])
+                if math.isfinite(model.unknowns[angle_index].sd):
+                    turn, centre = 2.0 * math.pi, model.unknowns[angle_index].centre
+                    best = best - turn * np.round((best - centre) / turn)
+                starts[..., angle_index] = best
     order = np.argsort(total, axis=0, kind="stable")
     starts = np.take_along_axis(starts, order[..., None], axis=0)
     starts = starts.swapaxes(0, 1).reshape(-1, starts.shape[2])
@@ -235,14 +245,6 @@ def _best_apart(cost: FloatArray) -> NDArray[np.int64]:
     return np.resize(np.array(chosen), STARTS_FITTED)
 
 
-def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
-    """The same angles, within half a turn of the prior's centre."""
-    if not math.isfinite(unknown.sd):
-        return angles
-    turn = 2.0 * math.pi
-    return np.asarray(angles - turn * np.round((angles - unknown.centre) / turn))
-
-
 def _aligned(
     model: SimulatedSignals, points: FloatArray, members: Sequence[int]
 ) -> list[tuple[FloatArray, FloatArray]]:
@@ -252,7 +254,7 @@ def _aligned(
     }
     steady = [i for i in members if i not in by_member]
     # In pieces, so that recordings at one speed find each other's simulations in the cache.
-    pieces = np.array_split(points, math.ceil(len(points) / POINTS_AT_ONCE))
+    pieces = np.array_split(points, math.ceil(len(points) / AT_ONCE))
     aligned = [[_align(model, piece, i) for i in steady] for piece in pieces]
     for i, parts in zip(steady, zip(*aligned, strict=True), strict=True):
         angle, chi_square = np.concatenate(parts).T
@@ -266,9 +268,11 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     Means are subtracted: an offset of a channel says nothing about the phase.
     """
     observation = model.recordings[recording]
-    folded, weight = _folded(observation), 1.0 / model.noise[recording].sd ** 2
-    channels, size = folded.shape
-    rate = size / observation.rotation_period_s
+    weight, turn = 1.0 / model.noise[recording].sd ** 2, observation.rotation_period_s
+    turns = [folded(row[:-1], turn * observation.sampling_hz) for row in observation.signals]
+    recorded = np.mean(turns, axis=1)
+    channels, size = recorded.shape
+    rate = size / turn
     matrix = model.vectors(points, observation, **{START_ANGLE: 0.0})
     matrix = model.bench.measurement.seen_by(matrix, observation.sampling_hz)
     simulated = model.recent.signals(
@@ -276,15 +280,15 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
         ("a rotation", channels, size, rate),
         partial(_rotations, model, channels, size, rate),
     )
-    folded = folded - folded.mean(axis=1, keepdims=True)
+    recorded = recorded - recorded.mean(axis=1, keepdims=True)
     simulated = simulated - simulated.mean(axis=2, keepdims=True)
     product = np.fft.irfft(
-        np.conj(np.fft.rfft(folded)) * np.fft.rfft(simulated), size, axis=2
-    )  # [k] = Σ_j folded_j simulated_{j+k}
+        np.conj(np.fft.rfft(recorded)) * np.fft.rfft(simulated), size, axis=2
+    )  # [k] = Σ_j recorded_j simulated_{j+k}
     gain = np.einsum("c,mck->mk", weight, product)
     power = np.einsum("c,mcj->m", weight, simulated**2)
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
-    recorded_power = float(weight @ (folded**2).sum(axis=1))
+    recorded_power = float(weight @ (recorded**2).sum(axis=1))
     chi_square = recorded_power + power - 2.0 * gain[np.arange(len(points)), best]
     rotations = observation.samples / observation.lag
     direction = math.copysign(1.0, observation.reference_speed_rpm)
@@ -302,25 +306,14 @@ def _rotations(
     return simulated[:, [SPEED, CURRENT][:channels]]
 
 
-def _folded(observation: Observed) -> FloatArray:
-    """Channels averaged over whole rotations, shape (c, lag)."""
-    rotations = int(
-        (observation.samples - 1) / (observation.rotation_period_s * observation.sampling_hz)
-    )
-    size = observation.lag
-    phase = (np.arange(size) / size + np.arange(rotations)[:, None]) * observation.rotation_period_s
-    positions = phase * observation.sampling_hz
-    grid = np.arange(observation.samples)
-    return np.stack([np.interp(positions, grid, row).mean(axis=0) for row in observation.signals])
-
-
 def valid_variant(fit: SimulatedFit) -> SimulatedFit:
     """The fit, or if it fails the check, the first of three variants for motions that passes.
 
     A digital drive holds its reference from sample to sample, and friction at a standstill differs
     from that in motion.
     """
-    if is_explained(fit) or not _moves(fit):
+    moves = any(observation.motion is not None for observation in fit.model.recordings)
+    if is_explained(fit) or not moves:
         return fit
     for variant in _variants(fit):
         if is_explained(variant):
@@ -360,10 +353,6 @@ def _held(fit: SimulatedFit) -> SimulatedFit:
         unknowns=[model.unknowns[k] for k in kept],
     )
     return refitted(held, replace(fit, point=fit.point[kept], steps=fit.steps[kept]))
-
-
-def _moves(fit: SimulatedFit) -> bool:
-    return any(observation.motion is not None for observation in fit.model.recordings)
 
 
 def _compared(recordings: Sequence[Observed]) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from threading import Lock
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +31,6 @@ ENCODER_ROUNDS = 2
 """After two rounds an eccentric encoder of 20 mrad is off by 0.1 mrad; after one, by 8 mrad."""
 
 
-class _SimulatorOptions(TypedDict):
-    """Arguments of every simulator besides parameters and samples."""
-
-    accuracy_rpm: float
-    workers: int
-    failures: str
-
-
 def accuracy_rpm(noise: ChannelNoise, observation: Observed) -> float:
     """Required accuracy of simulations for a recording with this noise."""
     coarsest = ACCURACY * abs(observation.reference_speed_rpm)
@@ -54,7 +46,7 @@ def simulated(
     matrix: FloatArray,
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
-    options = _SimulatorOptions(accuracy_rpm=accuracy_rpm, workers=workers, failures=failures)
+    options: Any = {"accuracy_rpm": accuracy_rpm, "workers": workers, "failures": failures}
     if observation.motion is not None:
         signals = simulate_motions(
             matrix, observation.motion, samples, observation.sampling_hz, **options

@@ -19,13 +19,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import loop_noise, turns_of
 from bayesbl.matching.signals import GAP, START_ANGLE
-from bayesbl.noise.impact_scatter import Scatter, early_and_late
+from bayesbl.noise.impact_scatter import FACTORS, Scatter, early_and_late
 from bayesbl.recording.types import FloatArray
 
 IMPACTS_ABOVE = 8
@@ -33,9 +34,6 @@ IMPACTS_ABOVE = 8
 
 BETWEEN_IMPACTS = 8
 """Inverse share of a rotation that is quiet between two impacts."""
-
-FACTORS = 400
-"""Number of likely values of v."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,29 +78,13 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         assert gap is not None
         gap_direction = slopes @ covariance[gap]
         halves = _halves(gap_direction, len(observation.signals))
-
-        def scores(
-            weights: FloatArray,
-            residual: FloatArray = residual,
-            slopes: FloatArray = slopes,
-            halves: FloatArray = halves,
-        ) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Scores of impacts, (g,), with their covariance by the recorder's noise and halves."""
-            weighted = weights[:, None] * halves
-            power = np.sum(weighted**2, axis=2)
-            # A lost impact says nothing.
-            kept = power > 0.5 * np.median(power, axis=0)
-            kinds = np.broadcast_to(np.arange(2.0), power.shape)
-            by_unknown = np.einsum("rhm,rmd->rhd", weighted, slopes)[kept]
-            spread = np.diag(power[kept]) - by_unknown @ hidden @ by_unknown.T
-            return np.sum(weighted * residual[:, None], axis=2)[kept], spread, kinds[kept]
-
+        scores = partial(_scores, residual=residual, slopes=slopes, halves=halves, hidden=hidden)
         loop = loop_noise(fit, index)
         scatter = Scatter.of(
             *scores(gap_direction), None if loop is None else loop.factors(gap_direction)
         )
-        factors = scatter.likely(FACTORS)
-        timing_variance = np.zeros(FACTORS)
+        factors = scatter.likely()
+        timing_variance = np.zeros(factors.size)
         angle = model.place_of(START_ANGLE, observation.name)
         if angle is not None and observation.motion is None and scatter.freedom > 0.0:
             fast = _fast(slopes[..., angle], len(observation.signals))
@@ -112,6 +94,24 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         jacobian = np.stack([row[index].ravel() for row in rows[1:]], axis=1)
         impacts.append(Impacts(index, jacobian, scatter, factors, timing_variance))
     return impacts
+
+
+def _scores(
+    weights: FloatArray,
+    residual: FloatArray,
+    slopes: FloatArray,
+    halves: FloatArray,
+    hidden: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Scores of impacts, (g,), with their covariance by the recorder's noise and halves."""
+    weighted = weights[:, None] * halves
+    power = np.sum(weighted**2, axis=2)
+    # A lost impact says nothing.
+    kept = power > 0.5 * np.median(power, axis=0)
+    kinds = np.broadcast_to(np.arange(2.0), power.shape)
+    by_unknown = np.einsum("rhm,rmd->rhd", weighted, slopes)[kept]
+    spread = np.diag(power[kept]) - by_unknown @ hidden @ by_unknown.T
+    return np.sum(weighted * residual[:, None], axis=2)[kept], spread, kinds[kept]
 
 
 def scattered(

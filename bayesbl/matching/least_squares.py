@@ -280,14 +280,10 @@ def _fit(
     jacobian: FloatArray | None,
 ) -> SimulatedFit:
     """``jacobian``: at the point; dropped when the fit is changed."""
-    covariance = _covariance(curvature, model.prior_precision())
+    covariance = np.asarray(np.linalg.inv(curvature + model.prior_precision()), np.float64)
     fit = SimulatedFit(model, point, residual, curvature, covariance, steps)
     object.__setattr__(fit, "_jacobian", jacobian)
     return fit
-
-
-def _covariance(curvature: FloatArray, precision: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(curvature + precision), dtype=np.float64)
 
 
 def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray) -> float:

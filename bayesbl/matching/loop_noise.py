@@ -93,21 +93,16 @@ class LoopNoise:
         excess = float(excess_power) / (len(self.fed_back) * power)
         return 1.0 + self.shares * max(excess, 0.0)
 
-    def degrees_of_freedom(self, parts: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """Effective degrees of freedom of the noise power in some parts of a rotation, (k,).
+    def degrees_of_freedom(self, parts: Callable[[FloatArray], FloatArray]) -> list[float]:
+        """Effective degrees of freedom of the noise power in some parts of a rotation, k values.
 
         Noise that is not fed back has the same spectrum, independently.
 
         ``parts``: from rotations (R, c lag) to (R, d).
         """
         fed_back, independent = parts(self.fed_back), parts(np.roll(self.linear, 1, axis=0))
-        mixes = np.sqrt(self.shares), np.sqrt(1.0 - self.shares)
-        return np.array(
-            [
-                degrees_of_freedom(a * fed_back + b * independent)
-                for a, b in zip(*mixes, strict=True)
-            ]
-        )
+        mixes = zip(np.sqrt(self.shares), np.sqrt(1.0 - self.shares), strict=True)
+        return [degrees_of_freedom(a * fed_back + b * independent) for a, b in mixes]
 
     def chance(
         self, ratio: float, parts: Callable[[FloatArray], FloatArray], rotations: int

@@ -13,7 +13,7 @@ from bayesbl.bench.kernel import TWIST, Slot
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import FAST_S, Observed
-from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
+from bayesbl.matching.signals import AT_ONCE, GAP, START_ANGLE, SimulatedSignals
 from bayesbl.noise.channel_noise import (
     HIGHEST_ORDER,
     ChannelNoise,
@@ -41,8 +41,6 @@ GAPS_SCANNED = 12
 GAPS_SCANNED_FINELY = 96
 """Steps of 5 %: χ² of a motion has a local minimum for each sequence of impacts."""
 VALLEYS_FITTED = 4
-AT_ONCE = 64
-"""Number of simulated motions in memory."""
 ANGLE_STEP_RAD = 1e-3
 """Smaller than the load's move on a changed flank, larger than shows the simulator's error."""
 SHIFTS = 2
@@ -62,7 +60,11 @@ def noise_of(observation: Observed, residual: FloatArray) -> ChannelNoise:
     RecordingError
         If the residual is too short.
     """
-    rounding = _rounding_of(observation, residual)
+    rounding = None
+    if observation.rounding:
+        simulated = observation.signals - residual
+        rows = zip(observation.rounding[: len(residual)], simulated, residual, strict=True)
+        rounding = np.stack([r.autocovariance(a, b, HIGHEST_ORDER + 1) for r, a, b in rows])
     if observation.motion is None:
         return estimate_channel_noise(residual, observation.lag, rounding=rounding)
     mask = None if observation.excluded is None else ~observation.excluded
@@ -70,15 +72,6 @@ def noise_of(observation: Observed, residual: FloatArray) -> ChannelNoise:
         samples = round(FAST_S * observation.sampling_hz)
         return estimate_fast_noise(residual, samples, mask, rounding)
     return estimate_channel_noise(residual, observation.cycle, mask, rounding)
-
-
-def _rounding_of(observation: Observed, residual: FloatArray) -> FloatArray | None:
-    """Autocovariance of each channel's rounding, given the simulation's residual, shape (c, n)."""
-    if not observation.rounding:
-        return None
-    simulated = observation.signals - residual
-    rows = zip(observation.rounding[: len(residual)], simulated, residual, strict=True)
-    return np.stack([rounding.autocovariance(a, b, HIGHEST_ORDER + 1) for rounding, a, b in rows])
 
 
 def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:

@@ -31,7 +31,7 @@ from bayesbl.recording.checks import (
     require_same_motion,
     speed_in_another_unit,
 )
-from bayesbl.recording.repairs import UNEVEN_STAMPS, even
+from bayesbl.recording.repairs import EVEN, UNEVEN_STAMPS, even
 from bayesbl.recording.repetition import Repetition, repetition
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
@@ -48,9 +48,6 @@ WHOLE_SPEED_RPM, WHOLE_SHARE = 0.1, 5e-4
 """Largest distance of a mean speed from a whole number of rpm that is taken for the reference,
 absolute and relative. The controller's integral keeps the mean over whole rotations at the
 reference, except for noise. The relative limit is for slow speeds: 10.06 rpm is not 10."""
-
-EVEN = 0.1
-"""Largest deviation of time stamps from an even grid that is accepted, in sampling periods."""
 
 LARGEST_SPEED_ERROR = 0.01
 """Largest relative difference of a recording's mean speed from the simulated one. On the reference
@@ -74,7 +71,6 @@ STANDSTILL = 20.0 * SIGN_WIDTH_SHARE
 """Speed below which the joint stands still, relative to its reference speed: twenty times the width
 over which friction changes its sign. Above, friction is that of motion."""
 
-MEDIAN_OF_NORMAL = 0.6745
 LEAST_NOISE = ACCURACY
 """Relative to the reference speed: agreement of simulated speeds with an independent solver."""
 RINGING_BAND = 4.0
@@ -229,22 +225,18 @@ def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None
 
 def asked_speed(recording: Recording, bench: Bench) -> tuple[float | None, str]:
     """Reference speed of a recording, rpm, and the reason; ``None`` if it is the bench's."""
-    mean = _mean_speed_rpm(recording, bench.value("gear_ratio"))
+    # Over whole load rotations: gravity makes the speed oscillate once per rotation.
+    mean = float(recording.motor_speed_rpm.mean())
+    per_sample = max(abs(mean), 1e-9) * recording.sampling_period_s
+    turn = 60.0 * bench.value("gear_ratio") / per_sample
+    if turns := int(recording.samples / turn):
+        mean = float(recording.motor_speed_rpm[: round(turns * turn)].mean())
     bench_rpm = bench.value("reference_speed_rpm")
     if abs(abs(mean / bench_rpm) - 1.0) <= LARGEST_SPEED_ERROR:
         return None, ""
     is_whole = abs(mean - round(mean)) <= min(WHOLE_SPEED_RPM, WHOLE_SHARE * abs(mean))
     reference_rpm = float(round(mean)) if is_whole else float(f"{mean:.6g}")
     return reference_rpm, f"Its mean speed, {reference_rpm:g} rpm, is taken for its reference."
-
-
-def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:
-    """Mean speed over whole load rotations: gravity makes it oscillate once per rotation."""
-    speed_rpm = recording.motor_speed_rpm
-    mean = float(speed_rpm.mean())
-    rotation = 60.0 * gear_ratio / (max(abs(mean), 1e-9) * recording.sampling_period_s)
-    rotations = int(speed_rpm.size / rotation)
-    return float(speed_rpm[: round(rotations * rotation)].mean()) if rotations else mean
 
 
 def observed(
@@ -550,7 +542,7 @@ def _recovery(observation: Observed, bench: Bench) -> int:
     fastest = bench.vector(reference_speed_rpm=observation.reference_speed_rpm)
     # Second differences hardly contain the motion; correlated noise counts as a little less.
     second_differences = np.abs(np.diff(observation.signals[0], 2))
-    noise = float(np.median(second_differences)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
+    noise = float(np.median(second_differences)) / (0.6745 * math.sqrt(6.0))
     accuracy_rpm = max(noise, LEAST_NOISE * abs(observation.reference_speed_rpm))
     settled = float(settling_time_s(fastest, accuracy_rpm)[0])
     return math.ceil(settled * observation.sampling_hz)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
-from bayesbl.bench.motion import Motion, strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import fit_at
@@ -32,9 +32,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.noise.channel_noise import ChannelNoise
-from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import innovation_share
-from bayesbl.recording.types import FloatArray
 
 NAME = "planned"
 
@@ -159,30 +157,25 @@ def noise_of_bench(bench: Bench) -> ChannelNoise:
     coefficients = np.zeros((order, 2, 2))
     for channel, model in enumerate(models):
         coefficients[: len(model.coefficients), channel, channel] = model.coefficients
-    return ChannelNoise(
-        coefficients,
-        np.diag([_innovation_sd(model) for model in models]),
-        np.array([model.standard_deviation for model in models]),
-        0,
-    )
-
-
-def _innovation_sd(model: NoiseModel) -> float:
-    share = innovation_share(np.array(model.coefficients)) if model.coefficients else 1.0
-    return model.standard_deviation * math.sqrt(share)
+    sd = np.array([model.standard_deviation for model in models])
+    shares = [innovation_share(np.array(model.coefficients)) for model in models]
+    return ChannelNoise(coefficients, np.diag(sd * np.sqrt(shares)), sd, 0)
 
 
 def _planned(
     bench: Bench, candidate: Strokes, gap_rad: float, sampling_hz: float, workers: int
 ) -> PlannedMotion | None:
     """Evaluate strokes; ``None`` if the drive cannot follow them."""
-    motion = strokes(bench.value("gear_ratio"), **asdict(candidate))
+    ends_rad, *profile = astuple(candidate)
+    motion = cycle(bench.value("gear_ratio"), ends_rad, *profile)
     start_rad, samples = candidate.range_rad[0], round(candidate.duration_s * sampling_hz)
     row = bench.vector(gap_rad=gap_rad, start_angle_rad=start_rad)
     signals = simulate_motions(row, motion, samples, sampling_hz)[0, [SPEED, CURRENT]]
     if np.max(np.abs(signals[1])) > LARGEST_CURRENT_SHARE * bench.value("current_limit_a"):
         return None
-    observation = _as_recorded(motion, signals, sampling_hz)
+    observation = Observed(
+        NAME, signals, sampling_hz, motion.fastest_rpm, samples / sampling_hz, motion=motion
+    )
     changes, sds = zip(
         *(
             _expected(bench, observation, start_rad, share * gap_rad, workers)
@@ -215,11 +208,3 @@ def _expected(
     fit = fit_at(model, point)
     changes = len(flank_changes(fit, 0))
     return changes, fit.sd(GAP) if changes else math.inf
-
-
-def _as_recorded(motion: Motion, signals: FloatArray, sampling_hz: float) -> Observed:
-    """A motion as if it had been recorded, with signals of shape (2, n)."""
-    fastest = motion.fastest_rpm
-    return Observed(
-        NAME, signals, sampling_hz, fastest, signals.shape[1] / sampling_hz, motion=motion
-    )

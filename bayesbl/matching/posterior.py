@@ -16,15 +16,16 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
-from bayesbl.probabilities import FALSE_ALARM, chi2_sf
+from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, chi2_sf, ends
 from bayesbl.progress import Progress, silent
-from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import (
     Ensembles,
     SamplerSettings,
@@ -56,9 +57,7 @@ FEWEST_EFFECTIVE = 100.0
 The share of the posterior between two quantiles of n draws has the standard deviation √(p(1−p)/n),
 with p its level.
 """
-AT_BOUND_SHARE = 0.01
-LARGEST_FAILED_SHARE = 0.01
-TAILS = (0.05, 0.95)
+LEVEL = 0.9
 MATTERS = 0.2
 """Share of an interval by which an error may move δ or its change without being reported."""
 Side = Literal["lower", "upper"]
@@ -139,7 +138,7 @@ class DirectPosterior:
         """
         model = self.fit.model
         gap = self.values(GAP, recording).ravel()
-        low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+        low, high = ends(gap, level)
         for i, side, reach, _ in _contradicted(model, self.draws):
             coordinate = self.draws[..., i].ravel()
             variance = float(coordinate.var(ddof=1))
@@ -245,88 +244,60 @@ def sample_direct(
         draws are simulated in full.
     """
     model = fit.model
-    as_it_is = np.ones(len(model.unknowns))
     design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
     if withheld:
-        # The peak of a bad fit may be far from all points within the ranges.
-        about = _Local(fit.point, fit.point, fit.covariance)
-        return _unsimulated(about, fit, settings, design_seed)
+        return _unsimulated(fit, settings, design_seed)
     local = _Local(fit.point, fit.peak(), fit.covariance)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
     chi_square, surrogate = regress(
         model, points, points.mean(axis=0), _covariance(points), simulating
     )
-    failed = float(np.mean(~np.isfinite(chi_square)))
     best: _Weighted | None = None
     for refits, walk_seed in enumerate(walk_seeds):
         walked = _walk(model, surrogate, local, settings, walk_seed, progress)
         draws = np.stack([thinned(c, DRAWS // len(walked.chains)) for c in walked.chains])
         flat = draws.reshape(-1, draws.shape[-1])
         expected = surrogate.chi_square(flat)
-        check = _Check.of(model, flat, expected)
-        if check.is_passed:
-            effective = check.effective_share * len(flat)
-            diagnostics = _judge(model, walked, draws, effective, failed)
-            chi_square = expected.reshape(draws.shape[:2])
-            return DirectPosterior(
-                fit,
-                draws,
-                chi_square,
-                effective,
-                CHECKED,
-                refits,
-                diagnostics,
-                as_it_is,
-                as_it_is,
-                NoiseOnly.by(model, surrogate, draws),
-            )
+        checked = np.linspace(0, len(flat) - 1, CHECKED).astype(np.int64)
+        log_weights = _log_weights(expected[checked], simulated_chi_square(model, flat[checked]))
+        if _would_stay(flat, checked, log_weights):
+            effective = effective_size(log_weights) / CHECKED * len(flat)
+            weighted = _Weighted(walked, draws, expected, log_weights, effective, CHECKED, refits)
+            diagnostics = _judge(model, weighted, float(np.mean(~np.isfinite(chi_square))))
+            return weighted.posterior(fit, surrogate, diagnostics)
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
         chi_square, surrogate = regress(model, flat, local.centre, local.covariance, simulating)
-        failed = float(np.mean(~np.isfinite(chi_square)))
-        weighted = _Weighted.by(walked, draws, expected, chi_square, refits)
-        if best is not None and weighted.effective <= best.effective:
+        log_weights = _log_weights(expected, chi_square)
+        effective = effective_size(log_weights)
+        if best is not None and effective <= best.effective:
             break  # made of draws that hardly weigh: no surrogate made of it can be better
-        best = weighted
-        if best.effective >= GOOD_SHARE * len(flat):
+        best = _Weighted(walked, draws, chi_square, log_weights, effective, len(flat), refits)
+        if effective >= GOOD_SHARE * len(flat):
             break
     assert best is not None
     why = "other_shape"
     generator = np.random.default_rng(pick_seed)
-    picked = resampled(best.log_weights, best.draws.shape[1], generator)
+    picked = resampled(best.log_weights.reshape(draws.shape[:2]), draws.shape[1], generator)
     if best.effective < FEWEST_EFFECTIVE and _ticks_decide(fit, generator):
         why = "ticks_decide"
-    diagnostics = _judge(model, best.walked, best.draws, best.effective, best.failed, why)
-    draws = np.take_along_axis(best.draws, picked[..., None], axis=1)
-    return DirectPosterior(
-        fit,
-        draws,
-        np.take_along_axis(best.chi_square, picked, axis=1),
-        best.effective,
-        best.chi_square.size,
-        best.refits,
-        diagnostics,
-        as_it_is,
-        as_it_is,
-        NoiseOnly.by(model, surrogate, draws),
-    )
+    diagnostics = _judge(model, best, float(np.mean(~np.isfinite(best.chi_square))), why)
+    return best.posterior(fit, surrogate, diagnostics, picked)
 
 
 def _unsimulated(
-    local: _Local, fit: SimulatedFit, settings: SamplerSettings, seed: np.random.SeedSequence
+    fit: SimulatedFit, settings: SamplerSettings, seed: np.random.SeedSequence
 ) -> DirectPosterior:
     """Draws from the normal approximation at the optimum, within the ranges."""
     model = fit.model
     count = settings.ensembles * (DRAWS // settings.ensembles)
-    flat = local.drawn(count, (model.low, model.high), seed)
-    walked = _independent(flat, settings, 1.0)
+    # The peak of a bad fit may be far from all points within the ranges.
+    about = _Local(fit.point, fit.point, fit.covariance)
+    walked = _independent(about.drawn(count, (model.low, model.high), seed), settings, 1.0)
     draws = np.stack([chain[:, 0] for chain in walked.chains])
-    deviations = draws - local.centre
+    deviations = draws - fit.point
     chi_square = fit.chi_square + np.einsum("cni,ij,cnj->cn", deviations, fit.curvature, deviations)
-    as_it_is = np.ones(len(model.unknowns))
-    diagnostics = _judge(model, walked, draws, math.inf, 0.0)
-    return DirectPosterior(
-        fit, draws, chi_square, float(count), 0, 0, diagnostics, as_it_is, as_it_is
-    )
+    drawn = _Weighted(walked, draws, chi_square, np.zeros(count), float(count), 0, 0)
+    return drawn.posterior(fit, None, _judge(model, replace(drawn, effective=math.inf), 0.0))
 
 
 def _independent(draws: FloatArray, settings: SamplerSettings, share: float) -> Walk:
@@ -352,9 +323,7 @@ def widened(posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectP
 
 def _width_ratio(before: FloatArray, after: FloatArray) -> FloatArray:
     """Ratio of the 90 % intervals of draws (n, d), shape (d,)."""
-    width_after, width_before = (
-        np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (after, before)
-    )
+    width_after, width_before = (np.ptp(ends(d, LEVEL, 0), axis=0) for d in (after, before))
     return np.asarray(width_after / np.maximum(width_before, 1e-300))
 
 
@@ -374,102 +343,65 @@ class _Local:
         return truncated_normal(self.peak, self.covariance, box, count, generator)
 
 
-@dataclass(frozen=True, slots=True)
-class _Check:
-    """Whether weights by full simulation would change the answer.
+def _would_stay(draws: FloatArray, checked: NDArray[np.int64], log_weights: FloatArray) -> bool:
+    """Whether weights would move means and interval levels by less than the sampling error.
 
     Scatter of the weights alone does no harm: the ticks of a sampled controller change χ² from draw
-    to draw like noise. What counts is whether the weights move a mean or an end of an interval.
-
-    Attributes
-    ----------
-    log_weights
-        ln weights of some draws, shape (n,).
-    deviations
-        Their coordinates minus the mean of all draws, in standard deviations, shape (n, d).
-    within
-        Whether they are within the 90 % intervals of all draws, shape (n, d).
+    to draw like noise. What counts is whether the weights of the checked draws, (n,), move a mean
+    or an end of an interval of all draws, (m, d). Root mean squares over the coordinates are
+    compared with the error of the fewest draws that may be reported.
     """
-
-    log_weights: FloatArray
-    deviations: FloatArray
-    within: BoolArray
-
-    @classmethod
-    def of(cls, model: SimulatedSignals, draws: FloatArray, expected: FloatArray) -> _Check:
-        """``draws``: shape (m, d); ``expected``: χ² by the surrogate, (m,)."""
-        indices = np.linspace(0, len(draws) - 1, CHECKED).astype(np.int64)
-        checked = draws[indices]
-        log_weights = _log_weights(expected[indices], simulated_chi_square(model, checked))
-        low, high = np.quantile(draws, TAILS, axis=0)
-        sd = np.maximum(draws.std(axis=0), 1e-300)
-        deviations = (checked - draws.mean(axis=0)) / sd
-        return cls(log_weights, deviations, (checked >= low) & (checked <= high))
-
-    @property
-    def effective_share(self) -> float:
-        """Kish's effective share of the draws."""
-        return effective_size(self.log_weights) / self.log_weights.size
-
-    @property
-    def is_passed(self) -> bool:
-        """Whether weights would move means and interval levels by less than the sampling error.
-
-        Root mean squares over the coordinates, compared with the error of the fewest draws that may
-        be reported.
-        """
-        if not np.all(np.isfinite(self.log_weights)) or self.effective_share < GOOD_SHARE:
-            return False
-        weights = np.exp(self.log_weights - self.log_weights.max())
-        excess = weights / weights.sum() - 1.0 / weights.size
-        mean, level = (
-            math.sqrt(np.mean((excess @ values) ** 2)) for values in (self.deviations, self.within)
-        )
-        p = TAILS[1] - TAILS[0]
-        scatter = 1.0 / math.sqrt(FEWEST_EFFECTIVE)
-        return mean < scatter and level < scatter * math.sqrt(p * (1.0 - p))
+    share = effective_size(log_weights) / log_weights.size
+    if not np.all(np.isfinite(log_weights)) or share < GOOD_SHARE:
+        return False
+    low, high = ends(draws, LEVEL, 0)
+    sd = np.maximum(draws.std(axis=0), 1e-300)
+    deviations = (draws[checked] - draws.mean(axis=0)) / sd
+    within = (draws[checked] >= low) & (draws[checked] <= high)
+    weights = np.exp(log_weights - log_weights.max())
+    excess = weights / weights.sum() - 1.0 / weights.size
+    mean, level = (math.sqrt(np.mean((excess @ values) ** 2)) for values in (deviations, within))
+    scatter = 1.0 / math.sqrt(FEWEST_EFFECTIVE)
+    return mean < scatter and level < scatter * math.sqrt(LEVEL * (1.0 - LEVEL))
 
 
 @dataclass(frozen=True, slots=True)
 class _Weighted:
-    """Draws of a surrogate with importance weights by full simulation.
-
-    ``chi_square``, ``log_weights``: shape (chain, draw).
-    """
+    """Draws of a surrogate, (chain, draw, d), with their χ² and importance weights, (m,)."""
 
     walked: Walk
     draws: FloatArray
     chi_square: FloatArray
     log_weights: FloatArray
     effective: float
+    simulated: int
     refits: int
 
-    @classmethod
-    def by(
-        cls,
-        walked: Walk,
-        draws: FloatArray,
-        expected: FloatArray,
-        chi_square: FloatArray,
-        refits: int,
-    ) -> _Weighted:
-        """``expected``: χ² by the surrogate."""
-        log_weights = _log_weights(expected, chi_square)
-        shape = draws.shape[:2]
-        effective = effective_size(log_weights)
-        return cls(
-            walked,
+    def posterior(
+        self,
+        fit: SimulatedFit,
+        surrogate: Surrogate | None,
+        diagnostics: Diagnostics,
+        picked: NDArray[np.int64] | None = None,
+    ) -> DirectPosterior:
+        """The posterior by these draws, or by those picked from each chain, (chain, draw)."""
+        draws, chi_square = self.draws, self.chi_square.reshape(self.draws.shape[:2])
+        if picked is not None:
+            draws = np.take_along_axis(draws, picked[..., None], axis=1)
+            chi_square = np.take_along_axis(chi_square, picked, axis=1)
+        as_it_is = np.ones(draws.shape[-1])
+        return DirectPosterior(
+            fit,
             draws,
-            chi_square.reshape(shape),
-            log_weights.reshape(shape),
-            effective,
-            refits,
+            chi_square,
+            self.effective,
+            self.simulated,
+            self.refits,
+            diagnostics,
+            as_it_is,
+            as_it_is,
+            None if surrogate is None else NoiseOnly.by(fit.model, surrogate, draws),
         )
-
-    @property
-    def failed(self) -> float:
-        """Share of failed simulations."""
-        return float(np.mean(~np.isfinite(self.chi_square)))
 
 
 def _log_weights(expected: FloatArray, chi_square: FloatArray) -> FloatArray:
@@ -497,13 +429,13 @@ def _walk(
     starts = starts.reshape(settings.ensembles, walkers, -1)
     ensembles = Ensembles(target, starts, local.centre, local.covariance, walk_seed)
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
-    tail = 0.5 - 0.5 * settings.level
-
-    def bounds(chains: FloatArray) -> FloatArray:
-        pooled = chains.reshape(-1, chains.shape[-1])[:, gaps]
-        return np.asarray(np.quantile(pooled, [tail, 1.0 - tail], axis=0))
-
-    return walk(ensembles, settings, bounds, np.sqrt(np.diag(local.covariance))[gaps], progress)
+    return walk(
+        ensembles,
+        settings,
+        lambda chains: ends(chains[..., gaps], settings.level, (0, 1, 2)),
+        np.sqrt(np.diag(local.covariance))[gaps],
+        progress,
+    )
 
 
 def _covariance(points: FloatArray) -> FloatArray:
@@ -533,24 +465,23 @@ def _ticks_decide(fit: SimulatedFit, generator: np.random.Generator) -> bool:
 
 
 def _judge(
-    model: SimulatedSignals,
-    walked: Walk,
-    draws: FloatArray,
-    effective: float,
-    failed: float,
-    why: str = "other_shape",
+    model: SimulatedSignals, drawn: _Weighted, failed: float, why: str = "other_shape"
 ) -> Diagnostics:
     """Convergence checks, and checks of this route that withhold the answer.
 
-    ``why``: code of the advice if few draws carry the weight.
+    ``failed``: share of failed simulations; ``why``: code of the advice if few draws carry the
+    weight.
     """
-    diagnostics = walked.judged({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
-    failures = _at_bound(model, draws)
+    draws, effective = drawn.draws, drawn.effective
+    diagnostics = drawn.walked.judged(
+        {u.label: draws[..., i] for i, u in enumerate(model.unknowns)}
+    )
+    failures = [*_at_bound(model, draws)]
     if effective < FEWEST_EFFECTIVE:
         count = draws.shape[0] * draws.shape[1]
         values = {"effective": effective, "draws": count, "needed": FEWEST_EFFECTIVE}
         failures.append(Flaw(why, values))
-    if failed > LARGEST_FAILED_SHARE:
+    if failed > TOO_FEW:
         failures.append(Flaw("simulations_failed", {"share": failed}))
     return replace(
         diagnostics,
@@ -571,7 +502,6 @@ def _contradicted(
     the tolerance. A flat prior is contradicted if the draws crowd at its edge. The true value is
     then assumed half the range further, or at zero.
     """
-    precision = model.normal_prior.precision
     for i, unknown in enumerate(model.unknowns):
         if unknown.name == GAP or not math.isfinite(unknown.high - unknown.low):
             continue
@@ -581,18 +511,14 @@ def _contradicted(
         if math.isfinite(unknown.sd):
             believed = unknown.sd**2
             low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
-            deviation = float(coordinates.mean()) - unknown.centre
-            variance = float(coordinates.var(ddof=1))
+            mean, variance = float(coordinates.mean()), float(coordinates.var(ddof=1))
+            deviation = mean - unknown.centre
             # This many draws estimate a variance no better.
-            learned_variance = max(
-                believed - variance, math.sqrt(2.0 / coordinates.size) * believed
-            )
-            beyond = not low < coordinates.mean() < high
-            chance_of_deviation = float(chi2_sf(deviation**2 / learned_variance, 1.0))
-            if beyond and chance_of_deviation < FALSE_ALARM / len(precision):
-                sides["upper" if deviation > 0.0 else "lower"] = (
-                    abs(deviation) * variance / learned_variance
-                )
+            learned = max(believed - variance, math.sqrt(2.0 / coordinates.size) * believed)
+            chance = float(chi2_sf(deviation**2 / learned, 1.0))
+            if not low < mean < high and chance < FALSE_ALARM / len(model.unknowns):
+                side: Side = "upper" if deviation > 0.0 else "lower"
+                sides[side] = abs(deviation) * variance / learned
         else:
             info = PARAMETER_INFO.get(unknown.name)
             positive = low > 0.0 and not (info is not None and info.signed)
@@ -608,9 +534,8 @@ def _contradicted(
             yield i, side, reach, Flaw("at_edge", {"name": unknown.label, "side": side, **ends})
 
 
-def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
-    """Gaps whose posterior is cut off by the prior's range."""
-    flaws = []
+def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Iterator[Flaw]:
+    """Yield gaps whose posterior is cut off by the prior's range."""
     for i, unknown in enumerate(model.unknowns):
         if unknown.name != GAP:
             continue
@@ -621,7 +546,6 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
             ("upper", np.mean(coordinates > unknown.high - margin)),
         ):
             # If the range begins at zero gap, nothing is cut off there.
-            if share > AT_BOUND_SHARE and not (side == "lower" and unknown.offset):
+            if share > TOO_FEW and not (side == "lower" and unknown.offset):
                 low, high = unknown.value(np.array([unknown.low, unknown.high])).tolist()
-                flaws.append(Flaw("gap_at_bound", {"side": side, "low": low, "high": high}))
-    return flaws
+                yield Flaw("gap_at_bound", {"side": side, "low": low, "high": high})

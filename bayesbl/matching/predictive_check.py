@@ -7,7 +7,7 @@ power that does not repeat.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -145,7 +145,7 @@ def _powers(band: FloatArray) -> tuple[float, float]:
 
 def _by_band(
     row: FloatArray, observation: Observed, *, scatters: bool
-) -> list[tuple[int, float, float]]:
+) -> Iterator[tuple[int, float, float]]:
     """Repeating power by band; slow power if nothing repeats, or less than two cycles are compared.
 
     A motion of two cycles is compared without its start, so it has less than two.
@@ -186,15 +186,14 @@ def _band(spectrum: ComplexArray, highest: int) -> FloatArray:
     return np.concatenate([band.real, band.imag], axis=1)
 
 
-def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, float, float]]:
-    """(highest order, ratio, probability) for each band.
+def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> Iterator[tuple[int, float, float]]:
+    """Yield (highest order, ratio, probability) for each band.
 
     ``scatters``: estimate the noise power from the scatter between rotations, instead of taking 1.
     """
     turns = whole_rotations(row, lag)
     rotations = len(turns)
     spectrum = _spectrum(turns)
-    entries = []
     for highest in BANDS:
         band = _band(spectrum, highest)
         degrees = band.shape[1]
@@ -204,18 +203,16 @@ def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> list[tuple[int, 
             probability = f_sf(ratio, degrees, degrees * (rotations - 1))
         else:
             ratio, probability = repeats / degrees, float(chi2_sf(repeats, degrees))
-        entries.append((highest, ratio, probability))
-    return entries
+        yield highest, ratio, probability
 
 
-def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> list[tuple[int, float, float]]:
+def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> Iterator[tuple[int, float, float]]:
     """The same for a motion that does not repeat: its slow power over that of the fastest half.
 
     The bands are in cycles per quarter of the recording; whitened noise has the same power in all.
     """
     spectrum = np.abs(np.fft.rfft(row)) ** 2 / row.size
     fast = spectrum[spectrum.size // 2 : -1]
-    entries = []
     for highest in BANDS:
         end = 1 + highest * row.size // quarter
         if end > spectrum.size // 2:
@@ -228,5 +225,4 @@ def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> list[tuple[int, f
         else:
             ratio = float(band.mean())
             probability = float(chi2_sf(degrees * ratio, degrees))
-        entries.append((highest, ratio, probability))
-    return entries
+        yield highest, ratio, probability

@@ -47,6 +47,8 @@ MOST_DELAY_S = 0.02
 TURN_SD_RAD = 2.0 * math.pi / math.sqrt(12.0)
 """Standard deviation of a uniformly distributed angle."""
 
+AT_ONCE = 64
+"""Number of simulated recordings in memory."""
 FEW_POINTS = 16
 """Number of points below which recordings are simulated in parallel."""
 
@@ -262,12 +264,6 @@ class NormalPrior:
         """Whitened centre − coordinate, shape (k,)."""
         alone = (self.centre - point) / self.sd
         return np.concatenate([alone[np.isfinite(self.sd)], self.together @ (self.centre - point)])
-
-    def log_density(self, points: FloatArray) -> FloatArray:
-        """ln density up to a constant, (m, d) to (m,)."""
-        offsets = points - self.centre
-        density = -0.5 * ((offsets / self.sd) ** 2).sum(axis=1)
-        return np.asarray(density - 0.5 * ((offsets @ self.together.T) ** 2).sum(axis=1))
 
     def log_densities(self, points: FloatArray) -> FloatArray:
         """ln density of each coordinate given those before, up to constants; (m, d) to (m, d)."""
@@ -545,7 +541,7 @@ class SimulatedSignals:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""
         points = np.atleast_2d(points)
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
-        density = self.normal_prior.log_density(points)
+        density = self.normal_prior.log_densities(points).sum(axis=1)
         return np.where(inside, density, -np.inf)
 
     def log_priors(self, points: FloatArray) -> FloatArray:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.matching.signals import SimulatedSignals
+from bayesbl.matching.signals import AT_ONCE, SimulatedSignals
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.importance import quadratic_terms
 
 POINTS_PER_TERM = 1.5
 REACH = 2.0
@@ -23,8 +24,6 @@ REACH = 2.0
 LEAST_REACH = 10.0
 """Smallest range in standard deviations: at the edge of a range, the posterior may have an
 exponential tail."""
-AT_ONCE = 64
-"""Number of simulated recordings in memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +45,13 @@ class _Part:
     def chi_square(self, points: FloatArray) -> FloatArray:
         u = (points[:, self.index] - self.centre) @ self.inverse_root.T
         is_valid = np.linalg.norm(u, axis=1) < self.reach
-        terms = _terms(u[is_valid])
+        terms = quadratic_terms(u[is_valid])
         chi_square = np.full(len(points), np.inf)
         chi_square[is_valid] = np.einsum("mp,mp->m", terms @ self.gram, terms)
         return chi_square
 
     def chi_square_by_rotation(self, points: FloatArray) -> FloatArray:
-        terms = _terms((points[:, self.index] - self.centre) @ self.inverse_root.T)
+        terms = quadratic_terms((points[:, self.index] - self.centre) @ self.inverse_root.T)
         return np.stack([np.einsum("mp,mp->m", terms @ g, terms) for g in self.by_rotation], axis=1)
 
 
@@ -107,7 +106,7 @@ def regress(
         root = np.linalg.cholesky(covariance[np.ix_(index, index)])
         inverse_root = np.linalg.inv(root)
         u = (points[:, index] - centre[index]) @ inverse_root.T
-        terms = _terms(u)
+        terms = quadratic_terms(u)
         p = terms.shape[1]
         normal, right = np.zeros((p, p)), np.zeros((p, model.samples_of(i)))
         for begin in range(0, len(points), AT_ONCE):
@@ -142,9 +141,3 @@ def simulated_chi_square(model: SimulatedSignals, points: FloatArray) -> FloatAr
 def _sums_of_squares(residuals: FloatArray) -> FloatArray:
     """Sum of squares of each row, (m, N) to (m,)."""
     return np.asarray(np.einsum("mn,mn->m", residuals, residuals))
-
-
-def _terms(u: FloatArray) -> FloatArray:
-    """1, u and all products of two, shape (m, d) to (m, p)."""
-    first, second = np.triu_indices(u.shape[1])
-    return np.concatenate([np.ones((len(u), 1)), u, u[:, first] * u[:, second]], axis=1)

@@ -37,11 +37,11 @@ from bayesbl.measurement.measurement import (
     outcome_of,
     sampling_reasons,
 )
-from bayesbl.measurement.same_joint import COULD_BE, RINGING, change_reason, same_joint
+from bayesbl.measurement.same_joint import COULD_BE, HARMLESS_SD, RINGING, change_reason, same_joint
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.noise.rotation_noise import Noise
-from bayesbl.probabilities import FALSE_ALARM, normal_isf
+from bayesbl.probabilities import FALSE_ALARM, ends, normal_isf
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.checks import moves
@@ -53,12 +53,12 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
-from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted
+from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted, speed_at
 from bayesbl.ringing.posterior import require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch, same_pulses
-from bayesbl.ringing.waveform import jacobian_columns, model_speed
+from bayesbl.ringing.waveform import jacobian_columns
 
 NAME = "amplitude"
 
@@ -206,7 +206,7 @@ class AmplitudeMeasurer(CurveMeasurer):
         if start_from is not None:
             yield "start from", lambda: f"{', '.join(read_earlier(start_from))} in {start_from}"
         if self.config.posterior.check_sampler:
-            yield "second sampler", _second_sampler
+            yield "second sampler", require_second_sampler
 
     def require_usable(self, recording: Recording) -> None:
         """Require a constant speed and a curve that fits this recording or can be swept for it."""
@@ -309,7 +309,7 @@ class AmplitudeMeasurer(CurveMeasurer):
         draws = gap.delta_rad.ravel()
         delta_sample = draws[np.linspace(0, draws.size - 1, BENCHES).round().astype(int)]
         items = beside_bench(fit.point, bench, delta_sample, np.random.default_rng(BENCHES))
-        low, high = np.log(np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
+        low, high = np.log(ends(draws, level))
         bound = normal_isf(0.5 * FALSE_ALARM / max(len(items), 1))
         differing = [
             item
@@ -349,11 +349,6 @@ class AmplitudeMeasurer(CurveMeasurer):
                 FitJob(self.estimator, curve, recording, seed, ratio, start, check, task.work)
             )
         return jobs
-
-
-def _second_sampler() -> str:
-    require_second_sampler()
-    return "dynesty"
 
 
 def _ringing_change(
@@ -405,11 +400,10 @@ def _numbers(fit: Fit, posterior: xr.Dataset, section: IntervalConfig) -> dict[s
 
 
 def _noise_summary(noise: Noise) -> NoiseSummary:
-    coloured = "ar" if noise.coefficients.size or noise.differentiated else "white"
     evidence = noise.student_t_evidence
     return {
-        "kind": coloured if noise.degrees_of_freedom is None else "student_t",
-        "order": noise.coefficients.size,
+        "kind": noise.kind,
+        "order": noise.order,
         "sd_rpm": noise.sd_rpm,
         "coefficients": noise.coefficients.tolist(),
         "degrees_of_freedom": noise.degrees_of_freedom,
@@ -599,8 +593,7 @@ def _prediction_variance(fit: Fit) -> FloatArray:
     total, square = np.zeros(objective.samples), np.zeros(objective.samples)
     centre = point.optimum.predict(objective.time_s)
     for i in draw_index:
-        symbols = {**point.optimum.symbols, **{n: float(v[i]) for n, v in flat.items()}}
-        difference = model_speed(objective.time_s, symbols, baseline[i]) - centre
+        difference = speed_at(point, flat, baseline, int(i)) - centre
         total += difference
         square += difference**2
     return np.asarray(square / draw_index.size - (total / draw_index.size) ** 2)
@@ -675,8 +668,7 @@ class FitJob:
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording, or recall the fit from the store of an unfinished run."""
         step = of_stage(progress, f"Sampling {self.recording.name}")
-        kept = self.work.get("fit", self, lambda: self._made(step), Fit)
-        return kept.of(self.recording, self.gear_ratio)
+        return self.work.get("fit", self, lambda: self._made(step), Fit)
 
     def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve
@@ -745,11 +737,6 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
 
 # The paper's own search and model.
 
-WAVE_MATTERS = 0.5
-"""Largest shift of A by a load-angle harmonic, in standard deviations of A. An interval of 90 %
-still covers in 86 % of cases if the estimate is biased by half its standard deviation, and in 74 %
-if it is biased by a whole one."""
-
 
 def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
     """Yield why an answer by the paper's search or by the paper's model is withheld."""
@@ -767,7 +754,7 @@ def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
     no_baseline = point.optimum.model.baseline_harmonics == 0
     if no_baseline and curve is not None and curve.fingerprint is None:
         without, with_one = point.optimum.symbols[AMPLITUDE], amplitude_with_baseline_rpm(point)
-        if abs(with_one - without) > WAVE_MATTERS * math.sqrt(fit.point.spread.sandwich[0, 0]):
+        if abs(with_one - without) > HARMLESS_SD * math.sqrt(fit.point.spread.sandwich[0, 0]):
             values = {"amplitude_rpm": without, "with_baseline_rpm": with_one}
             yield Reason("no_baseline", values)
 

@@ -42,6 +42,7 @@ from bayesbl.measurement.compatibility import (
     require_same_estimator,
 )
 from bayesbl.measurement.measurement import Measurer, Reason, Task, estimator_of
+from bayesbl.probabilities import ends
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, of_stage
 from bayesbl.recording.checks import speed_in_another_unit
@@ -159,7 +160,7 @@ def curve_group(
     amplitude = np.geomspace(*(range_rpm or curve.amplitude_range_rpm), AMPLITUDES)
     draws = curve.draw(BAND_DRAWS, np.random.default_rng(seed))
     table = np.stack([draws.gap(np.full(BAND_DRAWS, a)) for a in amplitude])
-    low, high = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
+    low, high = ends(table, level, 1)
     values |= {"delta_rad": curve.gap(amplitude), "low_rad": low, "high_rad": high}
     ringing = curve.ringing if rows is None else None
     result = dataset(CURVE, curve, ringing, values, {"amplitude": amplitude})

@@ -63,6 +63,7 @@ from bayesbl.model_search.always_in import (
 from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.noise.outside_lines import without_outside_lines
+from bayesbl.probabilities import ends
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
@@ -465,7 +466,7 @@ def check_of_comparison(
                 unit=spot.unit,
             )
             for spot in joint.blind_spots
-            if spot.error_rad > MATTERS * _width(change_rad, level)
+            if spot.error_rad > MATTERS * float(np.ptp(ends(change_rad, level)))
         ],
     )
 
@@ -498,11 +499,6 @@ def _change_values(changed: ChangedParameter) -> dict[str, Any]:
         "unit": changed.unit,
         "recording": changed.recording,
     }
-
-
-def _width(draws_rad: FloatArray, level: float) -> float:
-    low, high = np.quantile(draws_rad, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-    return float(high - low)
 
 
 def prepare(config: SnapshotConfig) -> DirectMeasurer:

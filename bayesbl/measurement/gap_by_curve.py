@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from bayesbl.config.measurement import KnownGap
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve
 from bayesbl.measurement.measurement import Reason, upper_bound
-from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
+from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import effective_size, resampled
 
-LARGEST_SHARE_OUTSIDE = 0.01
 CANDIDATES_PER_DRAW = 20
 CONTRADICTED = "ringing_contradicts_bench"
 """Code of the reason that frequency and decay contradict the curve's bench."""
@@ -100,7 +99,7 @@ class Gap:
     @property
     def upper_bound_rad(self) -> float | None:
         """Upper bound of δ at 95 %, if some draws of A lie below the curve's range."""
-        if float(np.mean(self.outside_curve < 0.0)) < LARGEST_SHARE_OUTSIDE:
+        if float(np.mean(self.outside_curve < 0.0)) < TOO_FEW:
             return None
         return upper_bound(self.delta_rad)
 
@@ -144,8 +143,9 @@ def gaps(
     total = chains * count * copies
     shared = _shared_draws(curves, total, np.random.default_rng(shared_seed))
     amplitudes = [
-        _scattered(c, np.repeat(s.amplitude_rpm.ravel(), copies), np.random.default_rng(child))
+        a + c.start_angle_sd(a) * np.random.default_rng(child).standard_normal(a.size)
         for c, s, child in zip(curves, snapshots, own_seeds, strict=True)
+        for a in [np.repeat(s.amplitude_rpm.ravel(), copies)]
     ]
     prior = np.sum([_log(c.log_slope(a)) for c, a in zip(curves, amplitudes, strict=True)], axis=0)
     weights, notes = prior, tuple[Reason, ...]()
@@ -154,7 +154,9 @@ def gaps(
         matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
         threshold = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
         contradictions = [
-            bool(-2.0 * match.max() > threshold and _is_inside(curve, amplitude))
+            # The sweep must cover this amplitude, so that its ringing is known there.
+            bool(-2.0 * match.max() > threshold)
+            and float(np.mean(curve.outside(amplitude) != 0.0)) < TOO_FEW
             for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
         ]
         posterior_weights = prior + np.sum(matches, axis=0)
@@ -215,13 +217,6 @@ def _shared_draws(
     return [drawn[id(curve)] for curve in curves]
 
 
-def _scattered(
-    curve: GapCurve, amplitude_rpm: FloatArray, generator: np.random.Generator
-) -> FloatArray:
-    noise = generator.standard_normal(amplitude_rpm.size)
-    return amplitude_rpm + curve.start_angle_sd(amplitude_rpm) * noise
-
-
 def _log_match(
     draws: CurveDraws, snapshot: MeasuredRinging, amplitude_rpm: FloatArray
 ) -> FloatArray:
@@ -246,11 +241,6 @@ def _log_match(
     )
 
 
-def _is_inside(curve: GapCurve, amplitude_rpm: FloatArray) -> bool:
-    """Whether the sweep covers this amplitude, so that its ringing is known there."""
-    return float(np.mean(curve.outside(amplitude_rpm) != 0.0)) < LARGEST_SHARE_OUTSIDE
-
-
 def _log(values: FloatArray) -> FloatArray:
     return np.log(values, where=values > 0.0, out=np.full_like(values, -np.inf))
 
@@ -260,7 +250,7 @@ def _extrapolation(
 ) -> list[Reason]:
     """Why an answer outside the curve's range is withheld, with a one-sided bound."""
     share = float(np.mean(outside != 0.0))
-    if share < LARGEST_SHARE_OUTSIDE:
+    if share < TOO_FEW:
         return []
     low, high = range_rad
     above = bool(np.sum(outside > 0.0) >= np.sum(outside < 0.0))

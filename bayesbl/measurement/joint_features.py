@@ -18,6 +18,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.measurement.measurement import CheckItem, check_item
+from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION
@@ -77,8 +78,8 @@ def folded_rotations(point: PointEstimate) -> tuple[FloatArray, float]:
     if MOTOR_CURRENT in recording.channels:
         rows.append(recording.channels[MOTOR_CURRENT])
     turn = rotation_s / recording.sampling_period_s
-    folded = np.stack([folded_signal(direction * row, turn) for row in rows])
-    return folded, rotation_s / folded.shape[2]
+    rotations = np.stack([folded(direction * row, turn) for row in rows])
+    return rotations, rotation_s / rotations.shape[2]
 
 
 def beside_bench(
@@ -192,17 +193,6 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
         Feature(name, _unit(name), float(value), float(sd))
         for name, value, sd in zip((PROPORTIONAL, INTEGRAL), gains, sds, strict=True)
     ]
-
-
-def folded_signal(signal: FloatArray, samples_per_rotation: float) -> FloatArray:
-    """Stack whole rotations, shape (rotations, samples), by linear interpolation."""
-    count = round(samples_per_rotation)
-    # The last interpolated value lies one step before the end of its rotation.
-    recorded = signal.size - 1 + samples_per_rotation / count
-    rotations = math.floor(recorded / samples_per_rotation + 1e-9)
-    place = np.arange(rotations * count) * (samples_per_rotation / count)
-    folded = np.interp(place, np.arange(signal.size), signal)
-    return np.asarray(folded.reshape(rotations, count))
 
 
 def _waves(count: int) -> FloatArray:

@@ -13,12 +13,12 @@ from bayesbl.matching.observed import standstills
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, Reason
+from bayesbl.probabilities import TOO_FEW
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 EXCLUDED_END = 0.1
-EXCLUDED_SHARE = 0.01
 """A recording excludes an end of the range of ln δ if the outer ``EXCLUDED_END`` of it holds less
-than ``EXCLUDED_SHARE`` of the posterior (a flat posterior: 0.1). Then δ has a bound."""
+than ``TOO_FEW`` of the posterior (a flat posterior: 0.1). Then δ has a bound."""
 
 REMEMBERED = 1.0
 """Largest χ² that an unknown start may leave: it moves δ by at most one standard deviation."""
@@ -72,7 +72,7 @@ def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, boo
     end = EXCLUDED_END * (unknown.high - unknown.low)
     at_low = float(np.mean(draws < unknown.low + end))
     at_high = float(np.mean(draws > unknown.high - end))
-    return at_low < EXCLUDED_SHARE, at_high < EXCLUDED_SHARE
+    return at_low < TOO_FEW, at_high < TOO_FEW
 
 
 def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:

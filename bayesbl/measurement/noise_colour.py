@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import polygamma
 
-from bayesbl.measurement.joint_features import folded_signal
+from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import FREQUENCY, ROTATION
@@ -87,17 +87,17 @@ def noise_spectrum(point: PointEstimate) -> NoiseSpectrum | None:
     """
     recording, symbols = point.recording, point.optimum.symbols
     rotation_s, period_s = symbols[ROTATION], recording.sampling_period_s
-    folded = folded_signal(recording.motor_speed_rpm, rotation_s / period_s)
-    scatter = folded - folded.mean(axis=0)
-    degrees, count = len(folded) - 1, folded.shape[1]
-    smallest_scatter = LEAST_SCATTER * abs(float(folded.mean()))
+    rotations = folded(recording.motor_speed_rpm, rotation_s / period_s)
+    scatter = rotations - rotations.mean(axis=0)
+    degrees, count = len(rotations) - 1, rotations.shape[1]
+    smallest_scatter = LEAST_SCATTER * abs(float(rotations.mean()))
     if point.mended or point.noise.rounding_repeats or not scatter.std() > smallest_scatter:
         return None
     spectrum = np.fft.rfft(scatter, axis=1)[:, 1:]
     power = np.sum(np.abs(spectrum) ** 2, axis=0) / (degrees * count)
     # Linear interpolation at a fraction a between two samples keeps
     # 1 − 2a(1 − a)(1 − cos ωT) of the power.
-    share = np.arange(folded.size) * (rotation_s / period_s / count) % 1.0
+    share = np.arange(rotations.size) * (rotation_s / period_s / count) % 1.0
     angle = 2.0 * math.pi * np.arange(1, power.size + 1) / count
     power /= 1.0 - 2.0 * np.mean(share * (1.0 - share)) * (1.0 - np.cos(angle))
     return NoiseSpectrum(

@@ -155,7 +155,8 @@ def _deviations(last: Sequence[FloatArray], first: Sequence[FloatArray]) -> floa
 
 
 LOST_MOTION_SHARE = 0.03
-"""Share of the rated torque at which makers of reducers state lost motion."""
+"""Share of the rated torque at which makers of reducers state lost motion; of the largest torque
+of the ramps if that is not known."""
 
 GOOD_PART = 0.5
 """Share of the gap that soft flanks may cause, from which the reader is told."""
@@ -257,7 +258,8 @@ class RampMeasurer(Measurer):
         elsewhere: bool,
     ) -> tuple[Answer, HeldCompliance]:
         generator = np.random.default_rng(seed)
-        width, stated_nm = play.width_rad[recording.name], LOST_MOTION_SHARE * self._rated(flanks)
+        width, rated = play.width_rad[recording.name], self.config.joint.rated_torque_nm
+        stated_nm = LOST_MOTION_SHARE * (rated or flanks.largest.amplitude_nm)
         of_cycles = of_every_cycle(flanks, stated_nm)
         draws = {
             "width_rad": width,
@@ -283,11 +285,6 @@ class RampMeasurer(Measurer):
             upper_bound_rad=None if has_play or withheld else upper_bound(gap),
         )
         return answer, HeldCompliance(draws, of_cycles)
-
-    def _rated(self, flanks: Flanks) -> float:
-        """The rated torque, or the largest torque of the ramps."""
-        rated = self.config.joint.rated_torque_nm
-        return flanks.largest.amplitude_nm if rated is None else rated
 
     @property
     def _ratio(self) -> float:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesbl.measurement.compatibility import SNAPSHOTS_APART
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
     MEAN_CURRENT,
@@ -53,7 +54,7 @@ LINE = "line of the motor in the speed"
 """Ripple, or error of transmission or encoder, that stands out in the speed."""
 
 HARMLESS_SD = 0.5
-"""Harmless bias of ln A, in standard deviations of its change: 90 % intervals then cover 86 %."""
+"""Harmless bias, in standard deviations: a 90 % interval then covers in 86 % of cases."""
 
 BY_AMPLITUDE = {FREQUENCY: 0.1, DECAY: 0.5}
 """Largest ∂ln quantity/∂ln A along the gap, over benches within a factor of 1.6 of the reference
@@ -73,9 +74,6 @@ and 250 Hz (0.149 and 0.408, same command)."""
 
 SAME_RATE = 0.01
 """Relative difference up to which two sampling rates show the same noise."""
-
-SAME_SPEED = 0.02
-"""Relative difference up to which the loop answers a line of the motor alike at two speeds."""
 
 START_ANGLE_SD = {FREQUENCY: 0.0015, DECAY: 0.002}
 """Scatter of ln quantity with the start angle on the reference bench (same command)."""
@@ -246,7 +244,7 @@ class _Pair:
     @property
     def lines(self) -> dict[int, CheckItem]:
         """One item for each line of the motor, by its order; a missing line has amplitude 0."""
-        if abs(self.other.log_speed - self.first.log_speed) > SAME_SPEED:
+        if abs(self.other.log_speed - self.first.log_speed) > SNAPSHOTS_APART:
             return {}
         items = {}
         for order in sorted({*self.first.lines, *self.other.lines}):

@@ -36,8 +36,6 @@ DRAWS = ("chain", "draw")
     draw (draw) | 1 | number of the draw
 """)
 
-SAMPLED_SYMBOLS = labels("symbol", "name of what was sampled")
-
 DIAGNOSTICS = Group(
     "diagnostics",
     table("""
@@ -50,7 +48,7 @@ DIAGNOSTICS = Group(
         simulated? | 1 | draws simulated in full
         refits? | 1 | times the surrogate was fitted again
     """),
-    (SAMPLED_SYMBOLS,),
+    (labels("symbol", "name of what was sampled"),),
 )
 
 
@@ -79,14 +77,12 @@ BUDGET = Group(
     (labels("source", "source of the uncertainty of δ"),),
 )
 
-(RECORDING,) = table("""
-    recording (chain, draw, rotation) | 1 | log density of one load rotation, all channels, by the
-        noise alone
-""")
-
 LOG_LIKELIHOOD = Group(
     "log_likelihood",
-    (RECORDING,),
+    table("""
+        recording (chain, draw, rotation) | 1 | log density of one load rotation, all channels, by
+            the noise alone
+    """),
     (CHAIN, DRAW, *table("rotation (rotation) | 1 | number of the load rotation")),
 )
 

@@ -41,7 +41,7 @@ from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Answer, Reason
 from bayesbl.measurement.summary_types import WearSummary
-from bayesbl.probabilities import FALSE_ALARM, normal_sf
+from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, ends, normal_sf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
@@ -211,9 +211,6 @@ def _small(exponent: FloatArray) -> FloatArray:
 FEWEST_FOR_SCATTER = 4
 """Fewest snapshots that can distinguish irregular wear from measurement errors."""
 
-LEAST_SHARE_GROWING = 0.01
-"""Least share of growing draws; below it the gap has shrunk, which wear cannot do."""
-
 LONGEST_YEARS = 1000.0
 """Longest time to the limit: with a rate near 0 it would have no bound."""
 
@@ -314,7 +311,7 @@ def wear(
 ) -> xr.Dataset | None:
     """Law, rate, present gap and time to the limit, from snapshots without a repair between them.
 
-    Returns group :data:`WEAR`, or ``None`` if less than ``LEAST_SHARE_GROWING`` of the draws grow:
+    Returns group :data:`WEAR`, or ``None`` if less than ``TOO_FEW`` of the draws grow:
     the gap shrank.
 
     Parameters
@@ -347,7 +344,7 @@ def wear(
     (first, growth), _ = _fit(gaps - path, elapsed, problem.own, scatter**2)
     current = first + growth + path[-1]
     grows = np.flatnonzero((growth > scatter / SCATTER[1]) & (current > first))
-    if grows.size < LEAST_SHARE_GROWING * count:
+    if grows.size < TOO_FEW * count:
         return None
     # Replace every falling draw by a growing one.
     place = np.arange(count)
@@ -373,7 +370,7 @@ def wear(
         is_ahead = needed > 0.0
         values["years_to_limit"] = np.where(is_ahead, span * (spans - 1.0), 0.0)
         values["changes_ahead"] = np.where(is_ahead & laws.changes_before(spans), 1.0, 0.0)
-        if is_ahead.mean() > LEAST_SHARE_GROWING:
+        if is_ahead.mean() > TOO_FEW:
             width = _log_width(spans[is_ahead] - 1.0) / _log_width(prior_spans[is_ahead] - 1.0)
             attrs["width_over_prior"] = width
     draws = delta_rad.shape[1:]
@@ -383,8 +380,7 @@ def wear(
 
 
 def _log_width(times: FloatArray) -> float:
-    low, high = np.quantile(np.log(np.maximum(times, 1e-12)), [0.05, 0.95])
-    return max(float(high - low), 1e-12)
+    return max(float(np.ptp(ends(np.log(np.maximum(times, 1e-12)), 0.9))), 1e-12)
 
 
 def own_variance(gaps: FloatArray) -> FloatArray:
@@ -531,13 +527,6 @@ def years_between(first: Date, last: Date) -> float:
     return (last - first).days / DAYS_PER_YEAR
 
 
-def date_after(first: Date, years: float) -> Date | None:
-    """The day ``years`` later; ``None`` beyond ``LONGEST_YEARS``."""
-    if years >= LONGEST_YEARS:
-        return None
-    return first + timedelta(days=round(years * DAYS_PER_YEAR))
-
-
 def wear_of(
     config: CompareConfig,
     answers: Sequence[Answer],
@@ -570,7 +559,9 @@ def wear_of(
     years = np.array([years_between(since[0], day) for day in since])
     drift_seed, wear_seed = seed.spawn(2)
     measured = np.stack([a.delta_rad for a in chosen if a.delta_rad is not None])
-    gap_draws = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
+    # Independent scatter at each date, for effects of temperature, grease and the like.
+    scatter = np.random.default_rng(drift_seed).standard_normal(measured.shape)
+    gap_draws = measured * np.exp(config.wear.relative_sd_per_date * scatter)
     start, limit = config.wear.in_service_since, limit_rad_of(config)
     age = None if start is None else max(years_between(start, since[0]), 0.0)
     if (significant_fall := fall(gap_draws)) is not None:
@@ -587,14 +578,6 @@ def wear_of(
             trend(gap_draws, years).std() / trend(measured, years).std()
         )
     return group, None
-
-
-def _drifting(
-    delta_rad: FloatArray, relative_sd: float, seed: np.random.SeedSequence
-) -> FloatArray:
-    """Add independent scatter at each date, for effects of temperature, grease and the like."""
-    noise = np.random.default_rng(seed).standard_normal(delta_rad.shape)
-    return np.asarray(delta_rad * np.exp(relative_sd * noise))
 
 
 def used_dates(group: xr.Dataset) -> list[Date]:
@@ -671,8 +654,8 @@ class WearDraws:
         }
         if (years := self.years_to_limit) is not None:
             bounds = interval(years, level, kind)
-            ends = {key: _iso(last, bounds[key]) for key in ("median", "low", "high")}
-            earliest = _iso(last, float(np.quantile(years, 1.0 - level)))
+            ends = {key: date_after(last, bounds[key]) for key in ("median", "low", "high")}
+            earliest = date_after(last, float(np.quantile(years, 1.0 - level)))
             result |= {
                 "years_to_limit": bounds,
                 "date_of_limit": {**bounds, **ends},
@@ -721,6 +704,8 @@ def summarise_wear(
     return result
 
 
-def _iso(first: Date, years: float) -> str | None:
-    date = date_after(first, years)
-    return None if date is None else date.isoformat()
+def date_after(first: Date, years: float) -> str | None:
+    """The day ``years`` later, in ISO form; ``None`` beyond ``LONGEST_YEARS``."""
+    if years >= LONGEST_YEARS:
+        return None
+    return (first + timedelta(days=round(years * DAYS_PER_YEAR))).isoformat()

@@ -14,12 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.rotation_noise import (
-    FEWEST_DIFFERENCES,
-    bic,
-    require_differences,
-    unseen_variance,
-)
+from bayesbl.noise.rotation_noise import FEWEST_DIFFERENCES, bic, require_differences
 from bayesbl.recording.types import BoolArray, FloatArray
 
 HIGHEST_ORDER = 10
@@ -185,7 +180,7 @@ def _noise_of(
     variance = share * np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)
     unseen = np.zeros((channels, HIGHEST_ORDER + 1))
     if rounding is not None:
-        missing = unseen_variance(rounding[:, 0], variance)
+        missing = np.maximum(rounding[:, 0] - variance, 0.0)
         if np.any(missing > NEGLIGIBLE * variance):
             unseen = rounding * (missing / np.maximum(rounding[:, 0], 1e-300))[:, None]
     repeats, orders = bool(unseen.any()), range(HIGHEST_ORDER + 1)

@@ -24,6 +24,9 @@ SURPRISE = 0.2
 """Probability that impacts scatter more than expected. A judgement: with 1/2, intervals of three
 rotations without such scatter would be a sixth wider, with 1/5 a twentieth."""
 
+FACTORS = 400
+"""Number of likely values of v that are kept."""
+
 SHARES = 1000
 """Grid points of a share between 0 and 1."""
 
@@ -69,7 +72,7 @@ class Scatter:
         freedom = trace**2 / float(np.sum(spread**2))
         return cls(freedom * float(deviations @ deviations) / trace, freedom, expected)
 
-    def likely(self, count: int) -> FloatArray:
+    def likely(self, count: int = FACTORS) -> FloatArray:
         """Equally likely posterior values of v, in ascending order, shape (count,).
 
         A priori v is ``expected``, or with probability ``SURPRISE`` larger: ``expected`` is then a
@@ -113,12 +116,10 @@ def early_and_late(
     squares = float(np.sum(spread**2))
     freedom = kinds.size - np.unique(kinds).size
     noise = factors * trace / freedom
-    true_square = np.maximum(float(deviations @ deviations) / freedom - noise, 0.0)
+    excess = float(deviations @ deviations) / freedom - noise
+    true_square = np.maximum(excess, 0.0)
     sd = np.sqrt(2.0 * squares * (factors / freedom) ** 2 + 4.0 * noise * true_square / freedom)
-    normal = normal_sample(factors.size, TIMING)
-    return np.asarray(
-        np.maximum(float(deviations @ deviations) / freedom - noise + sd * normal, 0.0)
-    )
+    return np.maximum(excess + sd * normal_sample(factors.size, TIMING), 0.0)
 
 
 def normal_sample(count: int, stream: int) -> FloatArray:

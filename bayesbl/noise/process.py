@@ -1,4 +1,4 @@
-"""Simulated measurement: coloured noise and encoder counts."""
+"""Coloured noise of a simulated measurement."""
 
 from __future__ import annotations
 
@@ -88,10 +88,3 @@ class NoiseModel:
 
 
 NO_NOISE = NoiseModel(0.0)
-
-
-def quantised(angle_rad: FloatArray, counts: int) -> FloatArray:
-    """Angle as shown by an encoder of ``counts`` per turn, rounded to the nearest count, rad."""
-    count = 2.0 * math.pi / counts
-    rounded: FloatArray = np.rint(angle_rad / count) * count
-    return rounded

@@ -22,7 +22,6 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import fft
 from scipy.special import gammaln
 
@@ -43,14 +42,6 @@ def require_differences(count: int, found: str) -> None:
             found=found,
             expected=f"at least {FEWEST_DIFFERENCES}; record two rotations or more",
         )
-
-
-def unseen_variance(rounding: ArrayLike, shown: ArrayLike) -> FloatArray:
-    """Variance of rounding that repeats every rotation, so that differences do not show it.
-
-    If they show the variance of all rounding, none repeats.
-    """
-    return np.maximum(np.subtract(rounding, shown), 0.0)
 
 
 def burg(x: FloatArray, highest: int) -> tuple[FloatArray, list[FloatArray]]:
@@ -167,33 +158,22 @@ _LARGEST = 1e6
 """Largest tabulated difference, in scales of the Student-t variable."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tails:
-    """Student-t against normal innovations.
-
-    Attributes
-    ----------
-    degrees_of_freedom
-        The most likely of :data:`FREEDOMS`.
-    evidence
-        Gain in log likelihood over normal innovations, minus ½ ln n for the extra parameter: half
-        the difference in BIC, positive if Student-t is the better description.
-    """
-
-    degrees_of_freedom: float
-    evidence: float
-
-
-def tails(differences: FloatArray) -> Tails:
+def tails(differences: FloatArray) -> tuple[float, float]:
     """Compare Student-t and normal noise, from differences of two innovations each, shape (n,).
 
     The likelihood is a composite one: an innovation may be in two differences.
+
+    Returns
+    -------
+    The most likely of :data:`FREEDOMS`; and the gain in log likelihood over normal innovations,
+    minus ½ ln n for the extra parameter: half the difference in BIC, positive if Student-t is the
+    better description.
     """
     n = differences.size
     size = np.abs(differences)
     median = float(np.median(size))
     if median == 0.0:
-        return Tails(FREEDOMS[-1], -np.inf)
+        return FREEDOMS[-1], -math.inf
     edges = np.sinh(np.linspace(0.0, np.arcsinh(float(size.max()) / median), _BINS + 1))
     count = np.histogram(size / median, edges)[0].astype(float)
     # The last bin ends at the largest value, which rounding may put just outside.
@@ -204,7 +184,7 @@ def tails(differences: FloatArray) -> Tails:
     likelihoods = [_log_likelihood(x, count, freedom) for freedom in FREEDOMS]
     best = int(np.argmax(likelihoods))
     gain = likelihoods[best] - normal - 0.5 * np.log(n)
-    return Tails(FREEDOMS[best], float(gain))
+    return FREEDOMS[best], float(gain)
 
 
 def _log_likelihood(x: FloatArray, count: FloatArray, freedom: float) -> float:
@@ -231,16 +211,22 @@ def _difference_density(freedom: float) -> tuple[FloatArray, FloatArray]:
     width = 0.5 * (np.arctan(half) + 0.5 * np.pi)
     angle = -0.5 * np.pi + np.outer(width, node + 1.0)
     x = np.tan(angle)
-    density = np.exp(_log_t(x, freedom) + _log_t(2.0 * half[:, None] - x, freedom))
+    density = np.exp(log_t(x, freedom) + log_t(2.0 * half[:, None] - x, freedom))
     total = 2.0 * (density / np.cos(angle) ** 2) @ weight * width
     return log_z, np.log(total)
 
 
-def _log_t(x: FloatArray, freedom: float) -> FloatArray:
+def log_t(x: FloatArray, freedom: float) -> FloatArray:
+    """ln density of Student's t."""
     constant = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom)
     return np.asarray(
         constant - 0.5 * np.log(freedom * np.pi) - 0.5 * (freedom + 1.0) * np.log1p(x**2 / freedom)
     )
+
+
+def log_normal(x: FloatArray) -> FloatArray:
+    """ln density of the standard normal distribution."""
+    return np.asarray(-0.5 * x**2 - 0.5 * math.log(2.0 * math.pi))
 
 
 NoiseKind = Literal["auto", "white", "ar", "student_t"]
@@ -370,10 +356,14 @@ def estimate_noise(
         count, f"{count} samples with a counterpart one rotation ({rotation_period_s:.3g} s) later"
     )
     variance = float(np.nansum(d**2)) / (2.0 * count)
-    hidden = 0.0 if steps is None else float(unseen_variance(steps.sd_rpm**2, variance))
+    # If differences show the variance of all rounding, none repeats in every rotation.
+    hidden = 0.0 if steps is None else max(steps.sd_rpm**2 - variance, 0.0)
     coarse = steps is not None and variance < steps.size_rpm**2
     differentiated = coarse and steps is not None and steps.differentiated
-    series = _summed(d) if differentiated else d
+    series = d
+    if differentiated:
+        centred = d - np.nanmean(d)
+        series = np.cumsum(np.nan_to_num(centred)) + 0.0 * centred  # nan where d is
     log_variances, by_order = burg(series, HIGHEST_ORDER)
     evidence = bic(log_variances, count)
     evidence -= evidence.min()
@@ -387,22 +377,16 @@ def estimate_noise(
         best = int(np.argmin(evidence))
     coefficients = by_order[best]
     e = innovations(series, coefficients)
-    heaviness = tails(e[np.isfinite(e)])
+    freedom, heaviness = tails(e[np.isfinite(e)])
     # Coarse rounding has a distribution of its own, unlike both kinds of innovation.
-    heavy = kind == "student_t" or (kind == "auto" and heaviness.evidence > 0.0 and not coarse)
+    heavy = kind == "student_t" or (kind == "auto" and heaviness > 0.0 and not coarse)
     return Noise(
         math.sqrt(variance),
         coefficients,
         evidence,
         count,
-        heaviness.degrees_of_freedom if heavy else None,
-        heaviness.evidence,
+        freedom if heavy else None,
+        heaviness,
         differentiated,
         math.sqrt(hidden),
     )
-
-
-def _summed(d: FloatArray) -> FloatArray:
-    """Running sum about the mean; NaN where d is."""
-    centred = d - np.nanmean(d)
-    return np.asarray(np.cumsum(np.nan_to_num(centred)) + 0.0 * centred)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesbl.probabilities import ends
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import Ensembles, SamplerSettings, thinned, walk
@@ -177,12 +178,13 @@ def sample_play(
     ensembles = Ensembles.around(
         target, target.centre, covariance, target.box, settings.ensembles, walk_seed
     )
-    tail = 0.5 * (1.0 - settings.level)
-
-    def bounds(chains: FloatArray) -> FloatArray:
-        return np.asarray(np.quantile(chains, (tail, 1.0 - tail), axis=(0, 1, 2)))
-
-    walkers = walk(ensembles, settings, bounds, 0.3 * (high - low), progress)
+    walkers = walk(
+        ensembles,
+        settings,
+        lambda chains: ends(chains, settings.level, (0, 1, 2)),
+        0.3 * (high - low),
+        progress,
+    )
     kept = np.stack([thinned(chain) for chain in walkers.chains])
     flat = kept.reshape(-1, kept.shape[-1])
     drawn = target.widths(flat, np.random.default_rng(widths_seed)).reshape(*kept.shape[:2], -1)

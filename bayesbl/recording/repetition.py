@@ -76,7 +76,7 @@ def repetition(
         # The weights are those of the rotations that they bring together.
         if period is None:
             return None
-        weights = _weights(_folded(cleaned, period), least_sd_rpm**2)
+        weights = _weights(folded(cleaned, period), least_sd_rpm**2)
         if not np.any(weights):
             return None
         weighted = _filtered(cleaned, weights, period)
@@ -84,9 +84,9 @@ def repetition(
     if period is None:
         return None
     gain = _of_impacts(_differs(weighted, stated) - _differs(weighted, period))
-    if not _shows_impacts(_folded(cleaned, period), least_sd_rpm**2):
+    if not _shows_impacts(folded(cleaned, period), least_sd_rpm**2):
         gain = 0.0
-    turns = _folded(speed_rpm, period)
+    turns = folded(speed_rpm, period)
     noise = float(_noise_power(turns)[:LOWEST_BINS].mean()) + least_sd_rpm**2
     return Repetition(
         period / sampling_hz,
@@ -149,10 +149,12 @@ def _mean_square(values: FloatArray, stated: float) -> Callable[[FloatArray], Fl
     return mean_square
 
 
-def _folded(values: FloatArray, period: float) -> FloatArray:
-    """Whole rotations of values (n,), shape (m, k)."""
+def folded(values: FloatArray, period: float) -> FloatArray:
+    """Whole rotations of values (n,) by linear interpolation, shape (m, k)."""
     size = round(period)
-    at = (np.arange(size) / size + np.arange(int(values.size / period))[:, None]) * period
+    # The last value lies one step before the end of its rotation.
+    turns = math.floor((values.size - 1 + period / size) / period + 1e-9)
+    at = (np.arange(size) / size + np.arange(turns)[:, None]) * period
     return np.interp(at, np.arange(values.size), values)
 
 
@@ -218,6 +220,6 @@ def _of_impacts(gain: FloatArray) -> float:
 
 def _differs(values: FloatArray, period: float) -> FloatArray:
     """Squared deviation of rotations of values (n,) from their mean, by place, (PLACES,)."""
-    turns = _folded(values, period)
+    turns = folded(values, period)
     squares = np.sum((turns - turns.mean(axis=0)) ** 2, axis=0)
     return np.array([part.sum() for part in np.array_split(squares, PLACES)])

@@ -6,6 +6,7 @@ from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 
+from bayesbl.probabilities import ends
 from bayesbl.recording.types import FloatArray
 
 IntervalKind = Literal["equal_tailed", "hdi"]
@@ -35,7 +36,7 @@ def interval(draws: FloatArray, level: float, kind: IntervalKind) -> Interval:
         first = int(np.argmin(widths))
         low, high = flat[first], flat[first + count - 1]
     else:
-        low, high = np.quantile(flat, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+        low, high = ends(flat, level)
     return {
         "median": float(np.median(flat)),
         "low": float(low),

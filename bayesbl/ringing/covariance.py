@@ -38,9 +38,6 @@ from bayesbl.ringing.symbols import (
 from bayesbl.ringing.waveform import impacts, jacobian, jacobian_columns, misfit_curvature
 from bayesbl.sampling.convergence import Contender
 
-FACTORS = 400
-"""Equally likely values of the variance factor that are kept."""
-
 SAFE_SHARE = 0.2
 """Least ratio of the smallest eigenvalues of H and JᵀJ; below it, JᵀJ replaces H."""
 
@@ -140,7 +137,7 @@ def covariance(
         return weighted.T @ residual, projected.T @ noise.covariance_times(projected)
 
     scatter = Scatter.of(*scores(columns @ inverse[:, :1]), signs)
-    factors = scatter.likely(FACTORS)
+    factors = scatter.likely()
     impact_sd_rpm = np.sqrt(signs.size * sandwich[0, 0] * (factors - 1.0)) / norms[0]
     losses = np.zeros(factors.size)
     if START in names and signs.size:
@@ -208,9 +205,6 @@ LEAST_LEFT = 0.05
 """Least share of A that shaking may leave."""
 
 
-NO_RECORDING = Recording("", np.zeros(0), {})
-
-
 @dataclass(frozen=True)  # no slots, because of the cached properties
 class PointEstimate:
     """Optimum, noise and covariance of one recording: everything but the sampling.
@@ -218,8 +212,7 @@ class PointEstimate:
     Attributes
     ----------
     recording
-        The recording as it was fitted. It is not stored with a finished fit, because it can be read
-        again.
+        The recording as it was fitted.
     notes
         What the reader should know about how the optimum was found.
     start
@@ -227,7 +220,7 @@ class PointEstimate:
     contenders
         Other optima weighted against this one; ``None`` to weight them by their likelihood alone.
     mended
-        The recording that was fitted, if it differs from the given one (lines or drift removed).
+        Whether it differs from the given one (lines or drift removed).
     lines
         Lines of the motor that were removed.
     shaking
@@ -237,11 +230,11 @@ class PointEstimate:
     optimum: Optimum
     noise: Noise
     spread: Covariance
-    recording: Recording = field(default=NO_RECORDING, compare=False)
+    recording: Recording
     notes: tuple[str, ...] = ()
     start: str = ""
     contenders: tuple[Contender, ...] | None = None
-    mended: Recording | None = None
+    mended: bool = False
     lines: tuple[MotorLine, ...] = ()
     shaking: tuple[OutsideLine, ...] = ()
 

@@ -22,7 +22,7 @@ from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import ready_for_fit, require_no_drift, require_rotations
-from bayesbl.recording.repairs import UNEVEN_STAMPS, even
+from bayesbl.recording.repairs import EVEN, UNEVEN_STAMPS, even
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.ringing.cleaning import in_words, without_drift, without_motor_lines
 from bayesbl.ringing.covariance import PointEstimate as PointEstimate
@@ -43,11 +43,6 @@ from bayesbl.ringing.symbols import ROTATION, DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
-EVEN_TOLERANCE = 0.1
-"""Largest distance of a time stamp from an even grid, in sampling periods, that counts as even.
-Time stamps rounded to a tenth of the period are common, and real jitter of that size is harmless.
-It moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz."""
-
 HARMLESS_JITTER_S = 5e-4
 """RMS distance σ from the grid up to which time stamps count as even, whatever the period. Such
 jitter averages out like noise, except that the ringing appears smaller by (ωσ)²/2, 0.05 % at 10
@@ -61,13 +56,6 @@ class Fit:
     point: PointEstimate
     posterior: Posterior
     check: SamplerCheck | None = None
-
-    def of(self, recording: Recording, gear_ratio: float | None = None) -> Fit:
-        """Attach the recording, prepared as it was fitted, to a fit recalled from the store."""
-        prepared = self.point.mended or even(
-            ready_for_fit(recording, gear_ratio), EVEN_TOLERANCE, HARMLESS_JITTER_S
-        )
-        return replace(self, point=replace(self.point, recording=prepared))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +117,7 @@ class Estimator:
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
         ready = ready_for_fit(recording, gear_ratio)
-        evenly_sampled = even(ready, EVEN_TOLERANCE, HARMLESS_JITTER_S)
+        evenly_sampled = even(ready, EVEN, HARMLESS_JITTER_S)
         notes = [] if evenly_sampled.channels is ready.channels else [UNEVEN_STAMPS]
         recording, lines = without_motor_lines(evenly_sampled)
         notes += [in_words(lines)] if lines else []
@@ -151,8 +139,7 @@ class Estimator:
                 recording, note = drift_removed
                 point = self._optimal(recording, seed, gear_ratio, earlier)
                 notes.append(note)
-        fitted = point.recording if notes else None
-        point = replace(point, notes=tuple(notes), mended=fitted, lines=lines)
+        point = replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
         return point.shaken(shaking)
 
     def _optimal(

@@ -63,7 +63,9 @@ def guesses(objective: Objective, count: int) -> FloatArray:
     """
     window_s, shortest_s, longest_s = search_window(objective)
     time_s, speed = objective.time_s, objective.speed_rpm - objective.offset_rpm
-    power = _baseline_power(speed)
+    # Drop in the sum of squares by one sinusoid, rpm²: a zero-padded periodogram.
+    padded = np.fft.rfft(speed, PERIODOGRAM_PADDING * speed.size)
+    power = 2.0 / speed.size * np.abs(padded) ** 2
     folds: list[tuple[float, float, float, float, float, float]] = []
     for decay, frequency in _templates(objective):
         response, step = _response(speed, objective.period_s, window_s, decay, frequency)
@@ -91,14 +93,6 @@ def guesses(objective: Objective, count: int) -> FloatArray:
     )
     order = np.argsort(objective.sum_of_squares(points), kind="stable")
     return _distinct(objective, points[order], count)
-
-
-def _baseline_power(speed_rpm: FloatArray) -> FloatArray:
-    """Drop in the sum of squares by one sinusoid, rpm², shape (f,): a zero-padded periodogram.
-    Frequencies are multiples of 1 / (PERIODOGRAM_PADDING · duration)."""
-    n = speed_rpm.size
-    spectrum = np.fft.rfft(speed_rpm, PERIODOGRAM_PADDING * n)
-    return np.asarray(2.0 / n * np.abs(spectrum) ** 2)
 
 
 def _templates(objective: Objective) -> list[tuple[float, float]]:

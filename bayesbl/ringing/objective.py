@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -51,21 +52,6 @@ class LinearSolution:
     factor: FloatArray
 
 
-def kernel_parameters(values: Mapping[str, float | FloatArray]) -> FloatArray:
-    """Stack named symbols (one shape or scalar each) as columns of the kernel, (…, 8)."""
-    columns = {
-        kernel.AMPLITUDE: values[AMPLITUDE],
-        kernel.FIRST_IMPACT: values[START] + values[WINDOW_START],
-        kernel.DECAY: values[DECAY],
-        kernel.FREQUENCY: values[FREQUENCY],
-        kernel.MEAN: values[MEAN],
-        kernel.WINDOW: values[WINDOW_END] - values[WINDOW_START],
-        kernel.SEPARATION: values[SEPARATION],
-        kernel.ROTATION: values[ROTATION],
-    }
-    return np.stack(np.broadcast_arrays(*(columns[i] for i in range(8))), axis=-1)
-
-
 SHORTEST_ROTATION_S = 0.2
 """Shortest rotation period; below it the sum of squares is infinite."""
 
@@ -103,7 +89,6 @@ class Objective:
         self._y -= self._y[self.used].mean()
         self._y[self._left_out] = 0.0
         self._y_square = float(self._y @ self._y)
-        self._columns = 2 + 2 * model.baseline_harmonics
         length = kernel.grid_length(n)
         highest = max(model.baseline_harmonics, 1) / SHORTEST_ROTATION_S
         rows = math.ceil(highest * self.period_s * length) + 2
@@ -152,15 +137,15 @@ class Objective:
         -------
         Shape (m,), rpm²; infinite where the symbols give no waveform.
         """
-        return self._evaluate(self._matrix(searched), keep=False)[0]
+        return self._evaluate(searched, keep=False)[0]
 
     def sum_of_squares_and_volume(self, searched: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As :meth:`sum_of_squares`, with log|XᵀX| of the solved columns, shape (m,)."""
-        return self._evaluate(self._matrix(searched), keep=False)[:2]
+        return self._evaluate(searched, keep=False)[:2]
 
     def solve(self, searched: FloatArray) -> LinearSolution:
         """A, v_t and baseline at each row of ``searched`` (m, d)."""
-        sse, _, coefficients, factor = self._evaluate(self._matrix(searched), keep=True)
+        sse, _, coefficients, factor = self._evaluate(searched, keep=True)
         coefficients[:, 0] += self.offset_rpm
         return LinearSolution(sse, coefficients, factor)
 
@@ -171,27 +156,27 @@ class Objective:
         values = self.model.named(point) | {AMPLITUDE: amplitude, MEAN: mean}
         return {name: values[name] for name in SYMBOLS}, solution
 
-    def _matrix(self, searched: FloatArray) -> FloatArray:
-        """Kernel columns from the searched symbols and the fixed ones."""
+    def _evaluate(
+        self, searched: FloatArray, *, keep: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         rows = np.atleast_2d(np.asarray(searched, dtype=np.float64))
-        constants = {AMPLITUDE: 0.0, MEAN: 0.0} | dict(self.model.fixed)
-        values = {n: np.full(len(rows), v) for n, v in constants.items()}
-        values |= {n: rows[:, i] for i, n in enumerate(self.searched)}
-        matrix = kernel_parameters(values)
-        matrix[:, kernel.MEAN] -= self.offset_rpm
+        values: dict[str, Any] = {MEAN: 0.0, **self.model.fixed}
+        values |= zip(self.searched, rows.T, strict=True)
+        matrix = np.empty((len(rows), kernel.COLUMNS))
+        matrix[:, kernel.FIRST_IMPACT] = values[START] + values[WINDOW_START]
+        matrix[:, kernel.DECAY] = values[DECAY]
+        matrix[:, kernel.FREQUENCY] = values[FREQUENCY]
+        matrix[:, kernel.MEAN] = values[MEAN] - self.offset_rpm
+        matrix[:, kernel.WINDOW] = values[WINDOW_END] - values[WINDOW_START]
+        matrix[:, kernel.SEPARATION] = values[SEPARATION]
+        matrix[:, kernel.ROTATION] = values[ROTATION]
         out_of_reach = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
         too_short = matrix[:, kernel.ROTATION] < SHORTEST_ROTATION_S
         matrix[out_of_reach | too_short, kernel.ROTATION] = np.nan
-        return matrix
-
-    def _evaluate(
-        self, matrix: FloatArray, *, keep: bool
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        m, c = len(matrix), self._columns
-        sse, volume = np.empty(m), np.empty(m)
+        m, c = len(matrix), 2 + 2 * self.model.baseline_harmonics
         stored_rows = m if keep else 0
-        coefficients, factor = np.empty((stored_rows, c)), np.empty((stored_rows, c, c))
-        output = (sse, volume, coefficients, factor)
+        solutions = np.empty((stored_rows, c)), np.empty((stored_rows, c, c))
+        output = (np.empty(m), np.empty(m), *solutions)
         kernel.sums_of_squares(
             matrix,
             self._y,

@@ -24,6 +24,7 @@ import numpy as np
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.guess import (
+    SAMPLES_PER_RINGING,
     first_turn,
     guesses,
     phase_distance_s,
@@ -311,17 +312,6 @@ def _same(a: dict[str, float], b: dict[str, float]) -> bool:
     )
 
 
-STEPS_PER_RINGING = 8.0
-PERIOD_STEPS = np.arange(-2.0, 3.0)
-"""Trial rotation periods, in quarters of a ringing of drift over the recording."""
-FREQUENCY_FACTORS = np.array([0.9, 1.0, 1.1])
-
-LARGEST_SPEED_RATIO = 1.1
-LARGEST_RMSE_RATIO = 1.5
-LARGEST_FREQUENCY_RATIO = 1.2
-LARGEST_DECAY_RATIO = 2.0
-
-
 @dataclass(frozen=True, slots=True)
 class EarlierOptimum:
     """An earlier optimum from which a search starts.
@@ -354,15 +344,15 @@ def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
     Raises
     ------
     NoLongerFits
-        If the earlier answer was withheld, the speed differs, or the optimum cannot be the old one
-        at a later date: its RMSE is more than 1.5 times the old one, its frequency moved by more
-        than a fifth, or its decay by more than a factor of two.
+        If the earlier answer was withheld, the speed differs by more than a tenth, or the optimum
+        cannot be the old one at a later date: its RMSE is more than 1.5 times the old one, its
+        frequency moved by more than a fifth, or its decay by more than a factor of two.
     """
     started_s = time.perf_counter()
     old = earlier.symbols
     if earlier.withheld:
         raise NoLongerFits("its own answer was withheld")
-    _require_near(MEAN, objective.offset_rpm, old[MEAN], LARGEST_SPEED_RATIO, "rpm")
+    _require_near(MEAN, objective.offset_rpm, old[MEAN], 1.1, "rpm")
     folds = _folds(objective, old)
     sse = objective.sum_of_squares(folds)
     end = refine(objective, folds[int(np.argmin(sse))])
@@ -374,8 +364,8 @@ def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
     if not np.any(np.isfinite(end_sse)):
         raise NoLongerFits("its pulses fit nowhere")
     optimum = settled(objective, ends, history, "warm")
-    _require_near("rmse_rpm", optimum.rmse_rpm, earlier.rmse_rpm, LARGEST_RMSE_RATIO, "rpm", 0.0)
-    for name, largest_ratio in ((FREQUENCY, LARGEST_FREQUENCY_RATIO), (DECAY, LARGEST_DECAY_RATIO)):
+    _require_near("rmse_rpm", optimum.rmse_rpm, earlier.rmse_rpm, 1.5, "rpm", 0.0)
+    for name, largest_ratio in ((FREQUENCY, 1.2), (DECAY, 2.0)):
         _require_near(name, optimum.symbols[name], old[name], largest_ratio, SYMBOLS[name].unit)
     return replace(optimum, seconds=time.perf_counter() - started_s)
 
@@ -397,13 +387,14 @@ def _folds(objective: Objective, old: Mapping[str, float]) -> FloatArray:
     ringing = 2.0 * math.pi / old[FREQUENCY]
     # At constant gear ratio, the load's period is inversely proportional to the motor's speed.
     rotation = objective.model.fixed.get(ROTATION, old[ROTATION] * old[MEAN] / objective.offset_rpm)
+    # A quarter of a ringing over the recording.
     drift = 0.25 * ringing * rotation / objective.duration_s
     axes = {name: np.array([old[name]]) for name in objective.searched}
     axes[SEPARATION] = np.array([old[SEPARATION] * rotation / old[ROTATION]])
     begin, _ = objective.model.ranges.get(START, (objective.time_s[0], math.inf))
-    axes[START] = begin + np.arange(0.0, rotation, ringing / STEPS_PER_RINGING)
-    axes[ROTATION] = rotation + drift * PERIOD_STEPS
-    axes[FREQUENCY] = old[FREQUENCY] * FREQUENCY_FACTORS
+    axes[START] = begin + np.arange(0.0, rotation, ringing / SAMPLES_PER_RINGING)
+    axes[ROTATION] = rotation + drift * np.arange(-2.0, 3.0)
+    axes[FREQUENCY] = old[FREQUENCY] * np.array([0.9, 1.0, 1.1])
     low, high = bounds(objective)
     margin = 1e-6 * (high - low)
     mesh = np.meshgrid(*(axes[name] for name in objective.searched), indexing="ij")

@@ -14,12 +14,17 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.compiled import compiled
 from bayesbl.noise.process import NoiseModel
-from bayesbl.noise.rotation_noise import Noise, autocorrelation, innovation_share, innovations
-from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.noise.rotation_noise import (
+    Noise,
+    autocorrelation,
+    innovation_share,
+    innovations,
+    log_normal,
+    log_t,
+)
+from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import PointEstimate
-from bayesbl.ringing.objective import kernel_parameters
 from bayesbl.ringing.optimum import bounds
 from bayesbl.ringing.symbols import AMPLITUDE, ROTATION, SYMBOLS
 from bayesbl.ringing.waveform import jacobian, model_speed
@@ -53,35 +58,30 @@ def log_likelihood(
     baseline_rpm
         Shape (…, 2k).
     """
-    parameters = kernel_parameters({**point.optimum.symbols, **draws})
-    shape, rows = parameters.shape[:-1], parameters.reshape(-1, parameters.shape[-1])
-    objective, noise = point.objective, point.noise
-    coefficients = np.asarray(noise.coefficients, dtype=np.float64)
-    rotation_s, baseline = point.optimum.symbols[ROTATION], baseline_rpm.reshape(len(rows), -1)
-    centred_time_s = objective.time_s - 0.5 * (objective.time_s[0] + objective.time_s[-1])
-    orders = np.arange(1, baseline.shape[1] // 2 + 1)
-    rotation = rotations_of(point)
-    count = int(rotation[-1]) + 1
-    densities = np.zeros((len(rows), count))
-    _log_densities(
-        rows,
-        np.ascontiguousarray(baseline),
-        objective.time_s,
-        objective.period_s,
-        rotation_s,
-        centred_time_s,
-        np.exp(2j * math.pi / rotation_s * np.outer(orders, centred_time_s)),
-        objective.speed_rpm,
-        _known_innovations(objective.used, coefficients.size),
-        np.searchsorted(rotation, np.arange(count + 1)),
-        coefficients,
-        noise.differentiated,
-        objective.used,
-        innovation_sd(noise),
-        noise.degrees_of_freedom or 0.0,
-        densities,
-    )
-    return densities.reshape(*shape, -1)
+    noise, rotation = point.noise, rotations_of(point)[point.noise.order :]
+    begins = np.searchsorted(rotation, np.arange(rotation[-1] + 1))
+    known, scale = _known_innovations(point), innovation_sd(noise)
+    freedom = noise.degrees_of_freedom
+    if freedom is not None:
+        scale *= math.sqrt((freedom - 2.0) / freedom)
+    densities = np.empty((*baseline_rpm.shape[:-1], begins.size))
+    for place in np.ndindex(densities.shape[:-1]):
+        residual = point.objective.speed_rpm - speed_at(point, draws, baseline_rpm, place)
+        e = _innovations(point, residual[:, None])[:, 0] / scale
+        log_density = log_normal(e) if freedom is None else log_t(e, freedom)
+        densities[place] = np.add.reduceat(known * (log_density - math.log(scale)), begins)
+    return densities
+
+
+def speed_at(
+    point: PointEstimate,
+    draws: Mapping[str, FloatArray],
+    baseline_rpm: FloatArray,
+    place: int | tuple[int, ...],
+) -> FloatArray:
+    """Speed of the model at one of the draws of :func:`log_likelihood`, shape (n,), rpm."""
+    symbols = {**point.optimum.symbols, **{n: float(v[place]) for n, v in draws.items()}}
+    return model_speed(point.objective.time_s, symbols, baseline_rpm[place])
 
 
 def likelihood_draws(
@@ -106,7 +106,9 @@ def likelihood_draws(
     """
     objective, optimum, names = point.objective, point.optimum, point.spread.names
     columns = jacobian(optimum.model, objective.time_s, optimum.symbols, optimum.baseline_rpm)
-    whitened = _whitened(point, np.column_stack([columns, np.nan_to_num(point.residual_rpm)]))
+    columns = np.column_stack([columns, np.nan_to_num(point.residual_rpm)])
+    whitened = _innovations(point, columns) / innovation_sd(point.noise)
+    whitened *= _known_innovations(point)[:, None]
     curvature = whitened[:, :-1].T @ whitened[:, :-1]
     covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
     symbols = [name for name in names if name in SYMBOLS]
@@ -128,20 +130,17 @@ def likelihood_draws(
     return None if sample is None else named(sample[0])
 
 
-def _whitened(point: PointEstimate, columns: FloatArray) -> FloatArray:
-    """Whitened columns (n, p): innovations over their standard deviation; 0 at missing samples."""
+def _innovations(point: PointEstimate, columns: FloatArray) -> FloatArray:
+    """Innovations of columns (n, p), of any value where samples are missing, (n − order, p)."""
     noise, used = point.noise, point.objective.used
     if noise.differentiated:
         columns = np.cumsum(np.where(used[:, None], columns - columns[used].mean(axis=0), 0.0), 0)
-    order = noise.order
-    e = np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
-    return e / innovation_sd(noise) * _known_innovations(used, order)[order:, None]
+    return np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
 
 
-def _known_innovations(used: BoolArray, order: int) -> FloatArray:
-    """1 where a sample and the ``order`` before it are all present, else 0, shape (n,)."""
-    missing = np.convolve(~used, np.ones(order + 1), "full")[: used.size]
-    missing[:order] = 1.0
+def _known_innovations(point: PointEstimate) -> FloatArray:
+    """1 where a sample and the ``order`` before it are all present, else 0, (n − order,)."""
+    missing = np.convolve(~point.objective.used, np.ones(point.noise.order + 1), "valid")
     return np.asarray(missing < 0.5, dtype=np.float64)
 
 
@@ -173,13 +172,8 @@ def predicted(
     baseline_rpm
         Shape (m, 2k).
     """
-    objective = point.objective
-    rows = []
-    for k, baseline in enumerate(baseline_rpm):
-        symbols = {**point.optimum.symbols, **{n: float(v[k]) for n, v in draws.items()}}
-        model = model_speed(objective.time_s, symbols, baseline)
-        rows.append(model + _drawn(point.noise, model.size, generator))
-    return np.array(rows)
+    speeds = [speed_at(point, draws, baseline_rpm, k) for k in range(len(baseline_rpm))]
+    return np.array([s + _drawn(point.noise, s.size, generator) for s in speeds])
 
 
 def _drawn(noise: Noise, size: int, generator: np.random.Generator) -> FloatArray:
@@ -188,92 +182,3 @@ def _drawn(noise: Noise, size: int, generator: np.random.Generator) -> FloatArra
         return model.draw(size, generator)
     change = np.diff(model.draw(size + 1, generator))
     return np.asarray(change / math.sqrt(_variance_of_change(noise)))
-
-
-@compiled(fastmath={"reassoc", "contract"})
-def _log_densities(  # type: ignore[no-untyped-def]
-    rows, baselines, time, period, nominal_turn, centred_time, waves, speed, counts, rotation,
-    coefficients, differentiated, used, sd, freedom, densities,
-):  # fmt: skip
-    """Add to ``densities`` (m, rotation) the log densities of innovations, draw by draw.
-
-    ``waves`` of the load angle, (harmonic, n), are those at ``nominal_turn``. They are corrected by
-    a series of three terms in the change of their rate, because draws of T_w differ by some 1e-5 of
-    it. ``counts`` is 1 where an innovation is known.
-    """
-    n, order, harmonics = time.size, coefficients.size, baselines.shape[1] // 2
-    residual, e = np.empty(n), np.empty(n)
-    if freedom > 0.0:
-        scale = sd * math.sqrt((freedom - 2.0) / freedom)
-        constant = (
-            math.lgamma(0.5 * (freedom + 1.0))
-            - math.lgamma(0.5 * freedom)
-            - 0.5 * math.log(freedom * math.pi)
-            - math.log(scale)
-        )
-    else:
-        scale = sd
-        constant = -0.5 * math.log(2.0 * math.pi) - math.log(sd)
-    for m in range(rows.shape[0]):
-        amplitude, first, decay, frequency = rows[m, 0], rows[m, 1], rows[m, 2], rows[m, 3]
-        mean, window, separation, turn = rows[m, 4], rows[m, 5], rows[m, 6], rows[m, 7]
-        for i in range(n):
-            residual[i] = speed[i] - mean
-        for k in range(harmonics):
-            c, s = baselines[m, 2 * k], baselines[m, 2 * k + 1]
-            rate_change = 2.0 * math.pi * (k + 1) * (1.0 / turn - 1.0 / nominal_turn)
-            for i in range(n):
-                x = rate_change * centred_time[i]
-                cos_shift, sin_shift = 1.0 - 0.5 * x * x, x * (1.0 - x * x / 6.0)
-                cosine, sine = waves[k, i].real, waves[k, i].imag
-                residual[i] -= c * (cosine * cos_shift - sine * sin_shift) + s * (
-                    sine * cos_shift + cosine * sin_shift
-                )
-        for side in range(2):
-            sign = 1.0 if side == 0 else -1.0
-            origin = first if side == 0 else first - separation
-            lowest = math.ceil((time[0] - window - period - origin) / turn)
-            highest = math.floor((time[n - 1] + period - origin) / turn)
-            for pulse in range(lowest, highest + 1):
-                start = origin + turn * pulse
-                begin = np.searchsorted(time, start - period)
-                end = np.searchsorted(time, start + window + period)
-                for i in range(begin, end):
-                    since = time[i] - start
-                    u = max(since, 0.0)
-                    ramp = min(max((window - since) / period + 0.5, 0.0), 1.0)
-                    corner = max(1.0 - abs(since) / period, 0.0)
-                    wave = ramp * math.exp(-decay * u) * math.sin(frequency * u)
-                    wave += frequency * period * corner * corner * corner / 6.0
-                    residual[i] -= sign * amplitude * wave
-        if differentiated:
-            centre, number = 0.0, 0
-            for i in range(n):
-                if used[i]:
-                    centre += residual[i]
-                    number += 1
-            centre /= max(number, 1)
-            total = 0.0
-            for i in range(n):
-                total += residual[i] - centre if used[i] else 0.0
-                residual[i] = total
-        for i in range(n):
-            e[i] = residual[i]
-        for k in range(order):
-            phi = coefficients[k]
-            for i in range(order, n):
-                e[i] -= phi * residual[i - 1 - k]
-        for r in range(densities.shape[1]):
-            total, known, product = 0.0, 0.0, 1.0
-            for i in range(rotation[r], rotation[r + 1]):
-                square = counts[i] * e[i] * e[i] / (scale * scale)
-                known += counts[i]
-                if freedom > 0.0:
-                    product *= 1.0 + square / freedom
-                    if product > 1e200:  # one logarithm of many factors
-                        total += math.log(product)
-                        product = 1.0
-                else:
-                    total += square
-            share = freedom + 1.0 if freedom > 0.0 else 1.0
-            densities[m, r] += known * constant - 0.5 * share * (total + math.log(product))

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.errors import ConfigError
+from bayesbl.probabilities import ends
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.covariance import PointEstimate
@@ -98,10 +99,16 @@ def sample_posterior(
     ensembles = Ensembles.around(
         target, optimum.searched, local, box, settings.ensembles, walk_seed
     )
+
+    def amplitude_ends(chains: FloatArray) -> FloatArray:
+        """Ends of the interval of A's conditional mean over all ensembles, rpm."""
+        points = np.concatenate([thinned(chain, DRAWS_FOR_EDGES) for chain in chains])
+        return ends(objective.solve(points).coefficients[:, -1], settings.level)
+
     walked = walk(
         ensembles,
         settings,
-        lambda chains: _interval_edges(objective, chains, settings.level),
+        amplitude_ends,
         math.sqrt(spread.sandwich[0, 0]),
         progress,
     )
@@ -109,7 +116,10 @@ def sample_posterior(
     points = np.stack([thinned(chain) for chain in walked.chains])
     draws, baseline, log_likelihood = complete(point, points, generator)
     diagnostics = walked.judged(
-        draws, point.signal_to_noise, _at_bound(objective, points), _other_answer(point, target)
+        draws,
+        signal_to_noise=point.signal_to_noise,
+        at_bound=_at_bound(objective, points),
+        other_answer=_other_answer(point, target),
     )
     return Posterior(draws, baseline, log_likelihood, diagnostics)
 
@@ -139,13 +149,6 @@ def _other_answer(point: PointEstimate, target: LogPosterior) -> Contender | Non
         contenders = weighed_by_likelihood(target, point.optimum)
     different = [c for c in contenders if abs(c.amplitude_rpm - amplitude_rpm) > sd]
     return max(different, key=lambda c: c.log_odds, default=None)
-
-
-def _interval_edges(objective: Objective, chains: FloatArray, level: float) -> FloatArray:
-    """Bounds of the interval of A's conditional mean over all ensembles, rpm."""
-    points = np.concatenate([thinned(chain, DRAWS_FOR_EDGES) for chain in chains])
-    amplitude = objective.solve(points).coefficients[:, -1]
-    return np.asarray(np.quantile(amplitude, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
 
 
 def complete(
@@ -204,9 +207,6 @@ def _at_bound(objective: Objective, points: FloatArray) -> dict[str, float]:
     return dict(zip(objective.searched, close.mean(axis=(0, 1)).tolist(), strict=True))
 
 
-LIVE_POINTS = 400
-LAST_EVIDENCE = 0.1
-"""ln of the share of the evidence that may be left unsampled."""
 HALF_WIDTH_SD = 12.0
 """Half width of a box, in local standard deviations of the symbols."""
 FAINTEST_LOG_ODDS = -7.0
@@ -255,8 +255,8 @@ class SamplerCheck:
         return f"The second sampler disagrees with emcee: {differences}."
 
 
-def require_second_sampler() -> None:
-    """Raise :class:`ConfigError`, which names the extra, if dynesty is not installed."""
+def require_second_sampler() -> str:
+    """The second sampler; raises :class:`ConfigError`, which names the extra, if it is missing."""
     if importlib.util.find_spec("dynesty") is None:
         raise ConfigError(
             "The second sampler is not installed.",
@@ -264,6 +264,7 @@ def require_second_sampler() -> None:
             found="no package dynesty",
             expected="dynesty, from: pip install 'bayesbl[check]'",
         )
+    return "dynesty"
 
 
 def check_sampler(
@@ -336,11 +337,12 @@ def _nested(
         lambda x: float(target(x[None])[0]),
         lambda u: low + u * (high - low),
         low.size,
-        nlive=LIVE_POINTS,
+        nlive=400,
         sample="unif",
         rstate=np.random.default_rng(run_seed),
     )
-    sampler.run_nested(dlogz=LAST_EVIDENCE, print_progress=False)
+    # ln of the evidence changes by at most 0.1 by what is left unsampled.
+    sampler.run_nested(dlogz=0.1, print_progress=False)
     results = sampler.results
     points = np.asarray(results.samples_equal(rstate=np.random.default_rng(weight_seed)))
     volume = float(np.sum(np.log(high - low)))

@@ -18,6 +18,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import jacobian, jacobian_columns
+from bayesbl.sampling.importance import quadratic_terms
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +142,11 @@ def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
     d = start.size
     generator = np.random.default_rng(seed)
     count = POINTS_PER_COEFFICIENT * (1 + d + d * (d + 1) // 2)
-    unit = _ball(generator, count, d)
-    design = _quadratic_columns(unit)
-    inverse = np.linalg.pinv(design)
+    # Points that fill a ball of radius √(d + 2): unit variance in every direction.
+    unit = generator.standard_normal((count, d))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    unit *= np.sqrt(d + 2.0) * generator.uniform(size=(count, 1)) ** (1.0 / d)
+    inverse = np.linalg.pinv(quadratic_terms(unit))
     centre = start
     best = float(objective.sum_of_squares(centre[None])[0])
     root = scatter_root(objective, centre)
@@ -166,19 +169,6 @@ def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
         if radius < LAST_RADIUS_RPM:
             break
     return centre
-
-
-def _ball(generator: np.random.Generator, count: int, d: int) -> FloatArray:
-    """Points filling a ball of radius √(d + 2): unit variance in every direction."""
-    direction = generator.standard_normal((count, d))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    length = np.sqrt(d + 2.0) * generator.uniform(size=(count, 1)) ** (1.0 / d)
-    return np.asarray(direction * length)
-
-
-def _quadratic_columns(x: FloatArray) -> FloatArray:
-    rows, columns = np.triu_indices(x.shape[1])
-    return np.column_stack([np.ones(len(x)), x, x[:, rows] * x[:, columns]])
 
 
 def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:

@@ -28,7 +28,8 @@ from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 
 # Columns of the parameter matrix that the kernel takes.
-AMPLITUDE, FIRST_IMPACT, DECAY, FREQUENCY, MEAN, WINDOW, SEPARATION, ROTATION = range(8)
+COLUMNS = 7
+FIRST_IMPACT, DECAY, FREQUENCY, MEAN, WINDOW, SEPARATION, ROTATION = range(COLUMNS)
 
 INTERPOLATION_POINTS = 12
 OVERSAMPLING = 32
@@ -217,7 +218,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     parameters
-        Shape (m, 8), columns as named at the top of this module; times in s, v_t in rpm relative to
+        Shape (m, 7), columns as named at the top of this module; times in s, v_t in rpm relative to
         the signal's mean, read only if it is fixed. A is always solved for.
     y, y_square
         Signal with its mean removed, shape (n,), rpm, and Σ y².

@@ -23,6 +23,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
@@ -38,6 +39,7 @@ from bayesbl.ringing.symbols import (
 )
 
 
+@compiled()
 def impact(
     since_start_s: FloatArray,
     decay_rate_per_s: float,
@@ -50,7 +52,7 @@ def impact(
     Parameters
     ----------
     since_start_s
-        Time u = t − t1 since the impact, any shape, s.
+        Time u = t − t1 since the impact, shape (n,), s.
     window_length_s
         t2 − t1 in s.
     sampling_period_s
@@ -60,11 +62,14 @@ def impact(
     -------
     Same shape as ``since_start_s``, dimensionless.
     """
-    u = np.maximum(since_start_s, 0.0)
-    ramp, closeness = _edges(since_start_s, window_length_s, sampling_period_s)
-    ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
-    corner = angular_frequency_rad_per_s * sampling_period_s * closeness**3 / 6.0
-    return np.asarray(ramp * ringing + corner)
+    wave = np.empty(since_start_s.size)
+    for i, since in enumerate(since_start_s):
+        u = max(since, 0.0)
+        ramp = min(max((window_length_s - since) / sampling_period_s + 0.5, 0.0), 1.0)
+        closeness = max(1.0 - abs(since) / sampling_period_s, 0.0)
+        wave[i] = ramp * math.exp(-decay_rate_per_s * u) * math.sin(angular_frequency_rad_per_s * u)
+        wave[i] += angular_frequency_rad_per_s * sampling_period_s * closeness**3 / 6.0
+    return wave
 
 
 def _edges(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesbl import __version__
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.motion import Motion, cycle, sine, strokes, torque_ramps
+from bayesbl.bench.motion import Motion, cycle, sine, torque_ramps
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import MotionSection, SimulatedRecording, SimulateFile
 from bayesbl.config.loading import load_file
@@ -164,8 +164,10 @@ def motion_of(section: MotionSection, gear_ratio: float) -> Motion:
     settings = section.model_dump(exclude={"kind"})
     if section.kind == "torque_ramp":
         return torque_ramps(**settings)
-    made: dict[str, Callable[..., Motion]] = {"strokes": strokes, "cycle": cycle, "sine": sine}
-    return made[section.kind](gear_ratio, **settings)
+    if section.kind == "sine":
+        return sine(gear_ratio, **settings)
+    points_rad = settings.pop("range_rad" if section.kind == "strokes" else "points_rad")
+    return cycle(gear_ratio, points_rad, **settings)
 
 
 @contextmanager

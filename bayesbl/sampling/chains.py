@@ -20,7 +20,6 @@ from bayesbl.progress import Progress
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.sampling.convergence import (
     STEPS_PER_AUTOCORRELATION,
-    Contender,
     Diagnostics,
     integrated_time,
     judge,
@@ -75,7 +74,6 @@ def _shape(peak_distance: float) -> tuple[float, float]:
     return (hazard - peak_distance) / sd, sd
 
 
-FEWEST_WALKERS = 32
 START_SPREAD = 1.5
 """Scatter of the walkers at the start, in standard deviations of the local covariance."""
 
@@ -92,7 +90,7 @@ GAMMA_SCATTER = 1e-5
 
 def walkers_needed(dimensions: int) -> int:
     """Number of walkers of an ensemble."""
-    return max(FEWEST_WALKERS, 4 * dimensions)
+    return max(32, 4 * dimensions)
 
 
 class Ensembles:
@@ -290,24 +288,14 @@ class Walk:
     acceptance: FloatArray
     stable: bool
 
-    def judged(
-        self,
-        draws: Mapping[str, FloatArray],
-        signal_to_noise: float = math.inf,
-        at_bound: Mapping[str, float] | None = None,
-        other_answer: Contender | None = None,
-    ) -> Diagnostics:
-        """Judge whether draws made from the chains, (chain, draw) by name, can be trusted."""
-        return judge(
-            *rank_r_hat_and_ess(draws),
-            self.autocorrelation_steps,
-            self.steps,
-            self.acceptance,
-            self.stable,
-            signal_to_noise,
-            at_bound or {},
-            other_answer,
-        )
+    def judged(self, draws: Mapping[str, FloatArray], **numbers: Any) -> Diagnostics:
+        """Judge whether draws made from the chains, (chain, draw) by name, can be trusted.
+
+        ``numbers``: those that :func:`judge` takes besides.
+        """
+        r_hat, ess = rank_r_hat_and_ess(draws)
+        ended = Diagnostics(r_hat, ess, self.autocorrelation_steps, self.steps, self.acceptance)
+        return judge(ended, self.stable, **numbers)
 
 
 def walk(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -146,20 +146,18 @@ def integrated_time(chain: FloatArray) -> float:
 
 
 def judge(
-    r_hat: Mapping[str, float],
-    ess_bulk: Mapping[str, float],
-    autocorrelation_steps: float,
-    steps: int,
-    acceptance: FloatArray,
+    ended: Diagnostics,
     bounds_stable: bool,
-    signal_to_noise: float,
-    at_bound: Mapping[str, float],
+    signal_to_noise: float = math.inf,
+    at_bound: Mapping[str, float] | None = None,
     other_answer: Contender | None = None,
 ) -> Diagnostics:
     """Derive an outcome with its reasons from the numbers.
 
     Parameters
     ----------
+    ended
+        How the sampling ended, without failures and doubts.
     bounds_stable
         Whether the interval's bounds agreed between the last two checks.
     signal_to_noise
@@ -171,6 +169,8 @@ def judge(
     """
     doubts: list[Flaw] = []
     failures: list[Flaw] = []
+    r_hat, ess_bulk, acceptance = ended.r_hat, ended.ess_bulk, ended.acceptance
+    steps, autocorrelation_steps = ended.steps, ended.autocorrelation_steps
     is_weak = signal_to_noise < WEAKEST_SIGNAL_TO_NOISE
     if is_weak:
         values = {"deviations": signal_to_noise, "needed": WEAKEST_SIGNAL_TO_NOISE}
@@ -197,7 +197,7 @@ def judge(
         doubts.append(Flaw("few_effective", {"symbol": fewest, "draws": ess_bulk[fewest]}))
     if not (bounds_stable or is_weak):
         doubts.append(Flaw("bounds_moved"))
-    for name, share in at_bound.items():
+    for name, share in (at_bound or {}).items():
         # Draws of a weak ringing may lie anywhere; its weakness is reported already.
         if share > AT_BOUND_SHARE and not is_weak:
             flaw = Flaw("draws_at_bound", {"symbol": name, "share": share})
@@ -205,13 +205,5 @@ def judge(
     if other_answer is not None and other_answer.share > OTHER_ANSWER_SHARE:
         values = {"amplitude_rpm": other_answer.amplitude_rpm, "share": other_answer.share}
         failures.append(Flaw("other_optimum", values))
-    return Diagnostics(
-        r_hat,
-        ess_bulk,
-        autocorrelation_steps,
-        steps,
-        acceptance,
-        tuple(failures),
-        tuple(doubts),
-        NoFlankChange.code if is_weak else "sampling",
-    )
+    code = NoFlankChange.code if is_weak else "sampling"
+    return replace(ended, failures=tuple(failures), doubts=tuple(doubts), code=code)

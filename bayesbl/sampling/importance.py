@@ -89,16 +89,21 @@ def _quadratic(
     mean = np.average(points, axis=0, weights=weights)
     sd = np.sqrt(np.average((points - mean) ** 2, axis=0, weights=weights))
     u, root = (points - mean) / sd, np.sqrt(weights)
-    first, second = np.triu_indices(len(mean))
-    terms = np.column_stack([np.ones(len(u)), u, u[:, first] * u[:, second]])
+    terms = quadratic_terms(u)
     values = np.where(weights > 0.0, log_density, 0.0)
     coefficients = np.linalg.lstsq(terms * root[:, None], values * root, rcond=None)[0]
     slope, precision = coefficients[1 : 1 + len(mean)], np.zeros((len(mean), len(mean)))
-    precision[first, second] = -coefficients[1 + len(mean) :]
+    precision[np.triu_indices(len(mean))] = -coefficients[1 + len(mean) :]
     precision += precision.T
     rates, axes = np.linalg.eigh(precision)
     covariance = axes / np.maximum(rates, FLATTEST) @ axes.T
     return mean + sd * (covariance @ slope), covariance * np.outer(sd, sd)
+
+
+def quadratic_terms(u: FloatArray) -> FloatArray:
+    """1, u and all products of two, shape (m, d) to (m, p)."""
+    first, second = np.triu_indices(u.shape[1])
+    return np.column_stack([np.ones(len(u)), u, u[:, first] * u[:, second]])
 
 
 def effective_size(log_weights: FloatArray) -> float:

@@ -12,17 +12,13 @@ import math
 import numba
 import numpy as np
 import pytest
+from made_recordings import start_state
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.kernel import HELD_TORQUE, RPM, SLOTS, STATES, Slot
-from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, strokes, torque_ramps
-from bayesbl.bench.simulation import (
-    simulate_channels,
-    simulate_motions,
-    simulate_states,
-    start_states,
-)
+from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, torque_ramps
+from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_states
 from bayesbl.config.bench import reference_bench
 
 SAMPLING_HZ = 500.0
@@ -247,7 +243,7 @@ def largest_errors(parameters: np.ndarray, duration_s: float) -> np.ndarray:
     """Largest error of speed (rpm) and current (A) over the duration."""
     samples = math.floor(duration_s * SAMPLING_HZ)
     channels = simulate_channels(parameters[None], samples, SAMPLING_HZ)[0]
-    state = start_states(parameters[None])[0]
+    state = start_state(parameters)
     exact = reference_channels(parameters, state, np.arange(samples) / SAMPLING_HZ)
     return np.max(np.abs(channels[1:] - exact), axis=1)
 
@@ -420,7 +416,7 @@ def test_a_sampled_controller_keeps_the_promise(
     parameters[S.start_angle_rad] = 3.0  # a flank changes soon
     samples = round(0.4 / period_s)
     channels = simulate_channels(parameters[None], samples, 1.0 / period_s)[0]
-    state = start_states(parameters[None])[0]
+    state = start_state(parameters)
     exact = sampled_reference(parameters, state, samples)
     assert np.ptp(exact[0]) > 5.0
     assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
@@ -434,7 +430,7 @@ def test_short_steps_between_ticks_heed_a_damping_faster_than_any_oscillation() 
     parameters[S.start_angle_rad] = 3.0
     samples = 700
     channels = simulate_channels(parameters[None], samples, 1.0 / 3e-4)[0]
-    exact = sampled_reference(parameters, start_states(parameters[None])[0], samples)
+    exact = sampled_reference(parameters, start_state(parameters), samples)
     assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
 
 
@@ -459,10 +455,10 @@ def test_position_loop_agrees_with_the_reference() -> None:
 
 
 MOTIONS = {
-    "strokes": strokes(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5),
+    "strokes": cycle(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5),
     "sine": sine(120.0, (0.2, 0.9), 0.9, 1.5),
     "cycle": cycle(120.0, [0.1, -0.1, 0.3], 800.0, 9000.0, 0.05, 1.5),
-    "S-curves": strokes(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5, 60000.0),
+    "S-curves": cycle(120.0, (-0.3, 0.4), 1500.0, 6000.0, 0.1, 1.5, 60000.0),
 }
 
 

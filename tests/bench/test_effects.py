@@ -7,18 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_recordings import start_state
 
 from bayesbl.bench import kernel
 from bayesbl.bench.bench import BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import effect_named, repeat_each_rotation
 from bayesbl.bench.kernel import CURRENT, POSITION, RPM, SPEED, STATES, Slot
 from bayesbl.bench.motion import recorded_motion
-from bayesbl.bench.simulation import (
-    simulate_channels,
-    simulate_motions,
-    simulate_states,
-    start_states,
-)
+from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_states
 from bayesbl.bench.steady import contact_rates, noise_through_loop
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError
@@ -443,7 +439,7 @@ def test_a_short_period_is_a_continuous_controller() -> None:
 def test_a_sampled_rotation_begins_with_a_tick_at_the_start_angle() -> None:
     # Neither the way to the start angle nor a turn is a whole number of these ticks.
     p = BENCH.vector(gap_rad=GAP, start_angle_rad=1.234, **sampled(0.7e-3))
-    state = start_states(p)[0]
+    state = start_state(p[0])
     assert state[0] / 120.0 - state[kernel.TWIST] == pytest.approx(1.234, abs=1e-6)
     assert state[kernel.TICK_ANGLE] == state[0]
     assert not repeat_each_rotation(p)
@@ -548,9 +544,7 @@ def test_a_bench_carries_effects_by_name() -> None:
     assert bench.fingerprint() != BENCH.fingerprint()
     assert np.array_equal(
         bench.simulate_many(GAP, rotations=0.5),
-        BENCH.simulate_many(
-            GAP, rotations=0.5, overrides={"load_coulomb_friction__torque_nm": 15.0}
-        ),
+        BENCH.simulate_many(GAP, rotations=0.5, load_coulomb_friction__torque_nm=15.0),
     )
     with pytest.raises(BenchError, match="no such effect"):
         effect_named("friction")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.kernel import RPM
-from bayesbl.bench.motion import cycle, strokes, torque_ramps
+from bayesbl.bench.motion import cycle, torque_ramps
 
 RATIO, SPEED_RPM, ACCELERATION = 100.0, 1500.0, 6000.0
 POINTS = [0.0, 0.9, -0.3]
@@ -36,7 +36,7 @@ def test_a_cycle_reaches_its_points_within_its_limits(jerk, points) -> None:
 def test_s_curves_are_no_slower_than_their_limits_ask() -> None:
     # A ramp to a speed v at acceleration a and jerk j takes v/a + a/j, where it reaches a.
     jerk = 6e4
-    motion = strokes(RATIO, (0.0, 1.0), SPEED_RPM, ACCELERATION, 0.0, 1.5, jerk)
+    motion = cycle(RATIO, (0.0, 1.0), SPEED_RPM, ACCELERATION, 0.0, 1.5, jerk)
     ramp = SPEED_RPM / ACCELERATION + ACCELERATION / jerk
     whole = RATIO * 1.0 / (SPEED_RPM / RPM) + ramp
     assert motion.speed_rpm(np.array([ramp]))[0] == pytest.approx(SPEED_RPM)
@@ -46,14 +46,14 @@ def test_s_curves_are_no_slower_than_their_limits_ask() -> None:
 
 def test_s_curves_of_a_large_jerk_are_trapezoids() -> None:
     time = np.arange(0.0, 6.0, 1e-3)
-    plain = strokes(RATIO, (-0.4, 0.5), SPEED_RPM, ACCELERATION, 0.1, 6.0)
-    rounded = strokes(RATIO, (-0.4, 0.5), SPEED_RPM, ACCELERATION, 0.1, 6.0, 1e9)
+    plain = cycle(RATIO, (-0.4, 0.5), SPEED_RPM, ACCELERATION, 0.1, 6.0)
+    rounded = cycle(RATIO, (-0.4, 0.5), SPEED_RPM, ACCELERATION, 0.1, 6.0, 1e9)
     assert rounded.position_rad(time) == pytest.approx(plain.position_rad(time), abs=0.01)
 
 
 @pytest.mark.parametrize("pace", [0.3, 1.0, 2.0])
 def test_at_another_pace_a_motion_goes_the_same_way(pace: float) -> None:
-    motion = strokes(RATIO, (-0.4, 0.5), SPEED_RPM, ACCELERATION, 0.1, 3.0, 4e4)
+    motion = cycle(RATIO, (-0.4, 0.5), SPEED_RPM, ACCELERATION, 0.1, 3.0, 4e4)
     other = motion.at_pace(pace)
     time = np.arange(0.0, 3.0, 1e-3)
     assert other.duration_s == pytest.approx(3.0 / pace)

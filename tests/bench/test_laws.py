@@ -117,11 +117,9 @@ def test_no_gap_gives_the_linear_frequency_response(load_frequency_hz: float) ->
 
 def test_arctan_tends_to_the_hard_dead_zone_as_it_sharpens() -> None:
     settings = {"rotations": 1.0, "sampling_hz": 500.0, "accuracy_rpm": 1e-4}
-    hard = BENCH.simulate_many(1e-3, overrides={"hard_dead_zone": 1.0}, **settings)[0]
+    hard = BENCH.simulate_many(1e-3, hard_dead_zone=1.0, **settings)[0]
     sharpness = np.array([1e5, 1e6, 1e7, 1e8])
-    soft = BENCH.simulate_many(
-        1e-3, overrides={"stiffness_sharpness_per_rad": sharpness}, **settings
-    )
+    soft = BENCH.simulate_many(1e-3, stiffness_sharpness_per_rad=sharpness, **settings)
     distance = np.max(np.abs(soft - hard), axis=1)
     assert np.all(distance[1:] < 0.2 * distance[:-1])
     assert distance[-1] < 0.01
@@ -162,7 +160,7 @@ def test_load_stands_at_the_start_angle_at_the_first_sample() -> None:
 
 
 def test_no_gravity_gives_no_pulses() -> None:
-    speed = BENCH.simulate_many(1e-3, rotations=1.0, overrides={"gravity_torque_nm": 0.0})
+    speed = BENCH.simulate_many(1e-3, rotations=1.0, gravity_torque_nm=0.0)
     assert np.max(np.abs(speed - 2000.0)) < 0.01
 
 

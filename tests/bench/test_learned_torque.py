@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_recordings import start_state
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import DAHL, INTEGRAL, MOTOR_ANGLE, MOTOR_SPEED, RPM, TWIST, TWIST_SPEED
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.simulation import simulate_channels, start_states
+from bayesbl.bench.simulation import simulate_channels
 from bayesbl.config.bench import dump_bench, load_bench, parse_bench, reference_bench
 from bayesbl.errors import BenchError, ConfigError
 
@@ -46,7 +47,7 @@ def test_the_simulator_agrees_with_scipy(torque: LearnedTerm) -> None:
     p = {name: item.value for name, item in bench.parameters.items()}
     n, speed_ref = p["gear_ratio"], -2000.0 / RPM
     run = bench.vector(gap_rad=GAP_RAD, start_angle_rad=0.4, reference_speed_rpm=-2000.0)
-    state = start_states(run)[0]
+    state = start_state(run[0])
     assert state[DAHL] == 0.0
 
     def slopes(t: float, y: np.ndarray) -> list[float]:

@@ -13,7 +13,7 @@ from bayesbl.bench.simulation import Measurement
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError
-from bayesbl.noise.process import NoiseModel, quantised
+from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import autocorrelation
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED
 
@@ -110,9 +110,6 @@ def test_position_begins_at_zero_in_whole_counts() -> None:
     assert np.max(np.abs(counts - np.rint(counts))) < 1e-6
     ideal = replace(BENCH, measurement=Measurement()).simulate(8e-4, rotations=0.5)
     assert np.max(np.abs(position - ideal.channels[MOTOR_POSITION])) <= math.pi / 16384 + 1e-12
-    assert quantised(np.array([0.49, 0.51]) * 2.0 * math.pi / 100, 100) == pytest.approx(
-        [0.0, 2.0 * math.pi / 100]
-    )
 
 
 def test_absolute_position_begins_where_it_is_said_to() -> None:

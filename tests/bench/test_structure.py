@@ -46,9 +46,9 @@ def test_an_independent_simulator_in_absolute_coordinates_agrees(
     settings = JOINTS[joint]
     run = {"gap_rad": 7e-4, "start_angle_rad": 0.4, "reference_speed_rpm": speed_rpm}
     values = {info.name: BENCH.value(info.name) for info in BENCH_PARAMETERS}
-    own = BENCH.simulate_many(
-        **run, overrides=settings, rotations=1.1, channels="all", accuracy_rpm=1e-3
-    )[0]
+    own = BENCH.simulate_many(**run, **settings, rotations=1.1, channels="all", accuracy_rpm=1e-3)[
+        0
+    ]
     other = independent.noise_free(independent.plant({**values, **run, **settings}), 1.1)
     apart = np.max(np.abs(own - other), axis=1)
     # 0.01 rpm is what the package promises of a simulated speed.
@@ -65,7 +65,7 @@ def test_a_stiff_part_leaves_the_bench_as_it_was(part: str, compliance: float) -
 
     def apart(times: float) -> float:
         stiff = {f"{part}__compliance_rad_per_nm": times * compliance, **SHAPES[part]}
-        moved = BENCH.simulate_many(8e-4, overrides=stiff, rotations=1.0)[0]
+        moved = BENCH.simulate_many(8e-4, **stiff, rotations=1.0)[0]
         return float(np.max(np.abs(moved - plain)))
 
     # To first order a spring does what its compliance does.
@@ -133,7 +133,7 @@ def test_a_wider_gap_at_one_impact_is_that_gap_there() -> None:
     """A gap that is a constant share wider all round is that wider gap."""
     wide = BENCH.simulate_many(8e-4 * 1.2, rotations=1.0)[0]
     # cos 2θ at the two flank changes, θ near 0 and π, is one; there the gap is wider by a fifth.
-    varied = BENCH.simulate_many(8e-4, overrides={"gap_variation__cosine_2": 0.2}, rotations=1.0)[0]
+    varied = BENCH.simulate_many(8e-4, gap_variation__cosine_2=0.2, rotations=1.0)[0]
     plain = BENCH.simulate_many(8e-4, rotations=1.0)[0]
     moved = np.max(np.abs(wide - plain))
     assert np.max(np.abs(varied - wide)) < 0.1 * moved

@@ -36,7 +36,7 @@ def both(independent, effects):
     """Position, speed, current of the package and of the independent simulator."""
     motor = {"motor_start_angle_rad": 0.9}
     package = BENCH.simulate_many(
-        **RUN, overrides=motor | effects, rotations=ROTATIONS, channels="all", accuracy_rpm=1e-3
+        **RUN, **motor, **effects, rotations=ROTATIONS, channels="all", accuracy_rpm=1e-3
     )[0]
     made = independent.plant({**VALUES, **RUN, **motor, **effects})
     return package, independent.noise_free(made, ROTATIONS)

@@ -17,7 +17,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, JointNormal
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
@@ -173,7 +173,7 @@ def test_a_further_recording_is_expected_to_tell_something() -> None:
 def test_strokes_tell_what_a_slower_turn_does_not() -> None:
     """Gap and ratio within 3.5 standard deviations, a delayed reference found beside them."""
     rng = np.random.default_rng(4)
-    motion = strokes(joint().value("gear_ratio"), (-0.8, 0.8), 2000.0, 8000.0, 0.15, 6.0)
+    motion = cycle(joint().value("gear_ratio"), (-0.8, 0.8), 2000.0, 8000.0, 0.15, 6.0)
     made = joint().simulate(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name="strokes")
     late = motion.speed_rpm(made.time_s + DELAY_S)
     made = replace(made, channels={**only_compared(made.channels), REFERENCE_SPEED: late})
@@ -204,7 +204,7 @@ def test_a_joint_that_only_strokes_is_identified_from_strokes_alone() -> None:
     """Gap and parameters within 3.5 standard deviations: fails by chance once in 200 seeds."""
     ratio, stroked = joint().value("gear_ratio"), []
     for seed, (reach, speed_rpm) in enumerate(((0.8, 2000.0), (0.8, 1000.0), (0.25, 2000.0))):
-        motion = strokes(ratio, (-reach, reach), speed_rpm, 8000.0, 0.15, 6.0)
+        motion = cycle(ratio, (-reach, reach), speed_rpm, 8000.0, 0.15, 6.0)
         rng, name = np.random.default_rng([8, seed]), f"strokes {seed}"
         made = joint().simulate(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name=name)
         stroked.append(observed(made, data_sheet()))

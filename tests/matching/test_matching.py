@@ -10,7 +10,7 @@ import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.kernel import CURRENT, SPEED
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.bench.simulation import Measurement, simulate_channels
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError, RecordingError
@@ -119,7 +119,7 @@ def test_in_a_motion_too_whatever_the_drive_feeds_forward(
     """Current for the acceleration, several times what it takes, and the speed that it leads to."""
     bench = replace(reference_bench(), measurement=NOISE)
     bench = bench.with_parameters(position_gain_per_s=position_gain_per_s)
-    motion = strokes(bench.value("gear_ratio"), (-0.5, 0.5), 1500.0, 6000.0, 0.15, 8.0)
+    motion = cycle(bench.value("gear_ratio"), (-0.5, 0.5), 1500.0, 6000.0, 0.15, 8.0)
     made = bench.simulate(8e-4, motion, seed=np.random.default_rng(1))
     acceleration = np.gradient(motion.speed_rpm(made.time_s), made.time_s)
     speed = made.motor_speed_rpm + 2e-3 * acceleration * (fed_forward_a_s_per_rpm > 0.0)

@@ -10,7 +10,7 @@ import pytest
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
-from bayesbl.bench.motion import Motion, held_motion, sine, strokes
+from bayesbl.bench.motion import Motion, cycle, held_motion, sine
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.prediction import predicted
@@ -49,8 +49,8 @@ BENCH = replace(
         current_noise=NoiseModel(0.05),
     ),
 )
-SWINGING = strokes(120.0, (-0.4, 0.5), 1500.0, 6000.0, 0.1, 7.0)
-HELD_UP = strokes(120.0, (0.9, 1.5), 600.0, 1500.0, 0.2, 8.0)
+SWINGING = cycle(120.0, (-0.4, 0.5), 1500.0, 6000.0, 0.1, 7.0)
+HELD_UP = cycle(120.0, (0.9, 1.5), 600.0, 1500.0, 0.2, 8.0)
 
 
 def recorded(
@@ -172,7 +172,7 @@ def test_the_gap_of_many_valleys_is_the_true_one(
 ) -> None:
     """Within 4 standard deviations; gap and start angle have another valley 6 % off."""
     ends = (-reach_rad, reach_rad)
-    motion = strokes(120.0, ends, speed_rpm, acceleration_rpm_per_s, 0.15, duration_s)
+    motion = cycle(120.0, ends, speed_rpm, acceleration_rpm_per_s, 0.15, duration_s)
     rng = np.random.default_rng(77)
     fit = fitted(BENCH.simulate(gap_rad, motion, seed=rng, name="r"))
     error = math.log(fit.value(GAP, "r") / gap_rad)
@@ -286,7 +286,7 @@ def test_a_plan_expects_what_a_fit_then_finds() -> None:
     assert 0 < len(shown) < len(expected)
     found = []
     for planned in ranked[0 : len(shown) : max(1, len(shown) // 2)]:
-        motion = strokes(
+        motion = cycle(
             120.0, planned.range_rad, planned.speed_rpm, planned.acceleration_rpm_per_s, 0.1, 3.0
         )
         found.append(

@@ -15,7 +15,7 @@ import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import EFFECTS, search_scale
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
@@ -135,7 +135,7 @@ def test_friction_is_the_same_law_in_other_units(scale: Scale) -> None:
         return np.asarray(run[0] / made.speed)
 
     def stroking(made: Scale) -> FloatArray:
-        motion = strokes(
+        motion = cycle(
             120.0 * made.angle,
             (-0.5, 0.5),
             2000.0 * made.speed,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesbl.bench.motion import held_motion, strokes
+from bayesbl.bench.motion import cycle, held_motion
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned, in_motion, valid_variant
@@ -29,7 +29,7 @@ BENCH = replace(
     reference_bench(),
     measurement=Measurement(speed_noise=NoiseModel(1.5), current_noise=NoiseModel(0.05)),
 )
-ASKED = strokes(BENCH.value("gear_ratio"), (-0.8, 0.8), 2000.0, 8000.0, 0.4, DURATION_S)
+ASKED = cycle(BENCH.value("gear_ratio"), (-0.8, 0.8), 2000.0, 8000.0, 0.4, DURATION_S)
 
 
 def recording(*, held: bool = False, creep_a: float = 0.0) -> Recording:

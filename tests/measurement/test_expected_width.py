@@ -12,7 +12,7 @@ import pytest
 from places import BEFORE, CONFIGS
 
 from bayesbl import cli
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
@@ -85,7 +85,7 @@ def test_check_says_nothing_of_gaps_outside_the_prior(
 def test_check_says_what_strokes_would_show(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    motion = strokes(120.0, (-0.5, 0.5), 1500.0, 6000.0, 0.15, 8.0)
+    motion = cycle(120.0, (-0.5, 0.5), 1500.0, 6000.0, 0.15, 8.0)
     file = tmp_path / "strokes.csv"
     file.write_text(recording_csv(BENCH.simulate(GAP_RAD, motion, sampling_hz=500.0, seed=RNG)))
     assert re.search(r"expected: .*±0\.00\d+ mrad at 1 mrad", checked(file, tmp_path, capsys))

@@ -17,7 +17,7 @@ from recording_files import write_csv
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.kernel import TWIST
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench
@@ -31,7 +31,7 @@ from bayesbl.results.store import read_tree
 pytestmark = pytest.mark.long
 
 GAP_RAD, OTHER_RAD = 2e-3, 2e-2
-MOTION = strokes(120.0, (-0.2, 0.2), 400.0, 800.0, 0.1, 12.0)
+MOTION = cycle(120.0, (-0.2, 0.2), 400.0, 800.0, 0.1, 12.0)
 
 
 def joint() -> Bench:

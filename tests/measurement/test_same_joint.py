@@ -19,11 +19,11 @@ from bayesbl.measurement.joint_features import (
     MEAN_CURRENT,
     PROPORTIONAL,
     features,
-    folded_signal,
     harmonic_name,
 )
 from bayesbl.measurement.measurement import JointCheck
 from bayesbl.measurement.same_joint import COULD_BE, FILTER, LINE, change_reason, same_joint
+from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.sentences import CAUSES, sentence
@@ -73,8 +73,10 @@ def found_values(gap_rad: float, seed: int | None) -> dict[str, tuple[float, flo
     made = BENCH.simulate(gap_rad, rotations=5.3, start_angle_rad=0.3, seed=generator)
     per_rotation = BENCH.rotation_period_s() / made.sampling_period_s
     signals = (made.motor_speed_rpm, made.channels[MOTOR_CURRENT])
-    folded = np.stack([folded_signal(signal, per_rotation) for signal in signals])
-    return {f.name: (f.value, f.standard_error) for f in features(folded, made.sampling_period_s)}
+    rotations = np.stack([folded(signal, per_rotation) for signal in signals])
+    return {
+        f.name: (f.value, f.standard_error) for f in features(rotations, made.sampling_period_s)
+    }
 
 
 def test_features_recover_the_bench_whatever_the_gap() -> None:

@@ -569,7 +569,10 @@ def judged(**changes: Any) -> Diagnostics:
         "signal_to_noise": 50.0,
         "at_bound": {DECAY: 0.0},
     }
-    return judge(**{**numbers, **changes})
+    numbers |= changes
+    of_judge = {"bounds_stable", "signal_to_noise", "at_bound", "other_answer"} & set(numbers)
+    besides = {name: numbers.pop(name) for name in of_judge}
+    return judge(Diagnostics(**numbers), **besides)
 
 
 def test_a_good_chain_is_converged_without_reasons() -> None:

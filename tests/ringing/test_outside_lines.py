@@ -12,10 +12,9 @@ import pytest
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import RecordingError
 from bayesbl.measurement.direct_route import require_unshaken
-from bayesbl.noise.impact_scatter import early_and_late
+from bayesbl.noise.impact_scatter import FACTORS, early_and_late
 from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
 from bayesbl.recording.types import MOTOR_SPEED, Recording
-from bayesbl.ringing.covariance import FACTORS
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.symbols import AMPLITUDE
 

@@ -11,7 +11,7 @@ from places import AFTER, BEFORE
 from recording_files import write_csv, write_netcdf
 
 from bayesbl import cli
-from bayesbl.bench.motion import strokes
+from bayesbl.bench.motion import cycle
 from bayesbl.config.loading import load_config
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
@@ -188,7 +188,7 @@ def test_a_column_of_the_joint_is_told_to_need_the_gear_ratio(name, measured, tm
 
 def test_init_of_strokes_asks_for_a_bench_and_is_no_failure(tmp_path, capsys):
     time_s = np.arange(0.0, 4.0, 1e-3)
-    speed = strokes(120.0, (-0.5, 0.5), 1500.0, 6000.0, 0.15, 4.0).speed_rpm(time_s)
+    speed = cycle(120.0, (-0.5, 0.5), 1500.0, 6000.0, 0.15, 4.0).speed_rpm(time_s)
     values = {"time_s": time_s, "motor_speed_rpm": speed, "reference_speed_rpm": speed}
     path = write_csv(tmp_path / "strokes.csv", values)
     assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == 0
