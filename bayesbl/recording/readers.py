@@ -122,14 +122,16 @@ def read_recording(
         if column.channel not in REFERENCES:
             strays[i] = without_strays(values[:, i], repairs, called)
 
+    clock, missing = time_column.name, np.isnan(values).sum(axis=0)
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
         kept_rows, values = at_shared_times(time_s, values, repairs, even=even)
     if kept_rows.size < time_s.size:
         time_s, values, rows = time_s[kept_rows], values[kept_rows], rows[kept_rows]
+        clock = others[int(np.argmax(missing))].name  # the column that sets the times
 
     def place(row: int, column: int | None) -> str:
         if column is None:
-            return table.place(int(rows[row]), time_column.name)
+            return table.place(int(rows[row]), clock)
         return table.place(int(rows[row]), others[column].name) + strays[column]
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds

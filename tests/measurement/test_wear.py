@@ -1,4 +1,4 @@
-"""Laws of wear in time: rates are recovered, dates have no origin, wear does not heal."""
+"""Laws of wear in time: rates are recovered, dates have no origin, wear cannot cause."""
 
 from __future__ import annotations
 
