@@ -1,4 +1,4 @@
-"""Laws of wear in time: rates are recovered, dates have no origin, wear cannot cause."""
+"""Laws of wear in time: rates are recovered, dates have no origin, wear does not heal."""
 
 from __future__ import annotations
 
@@ -539,7 +539,7 @@ def test_a_rate_is_withheld_with_its_reason(tmp_path):
     cases = [
         ({"gaps": [8e-4, 9e-4, 6e-4], "days": [0, 9, 99], "repaired": (2,)}, "only one snapshot"),
         ({"gaps": [8e-4, 9e-4], "days": [5, 5]}, "snapshots of one day"),
-        ({"gaps": [9e-4, 6e-4], "days": [0, 99]}, "does not heal"),
+        ({"gaps": [9e-4, 6e-4], "days": [0, 99]}, "cannot shrink a gap"),
         ({"gaps": [8e-4, 9e-4], "days": [0, 99], "withheld": ("s1",)}, "withheld for s1"),
     ]
     for options, reason in cases:
