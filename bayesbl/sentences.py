@@ -700,19 +700,19 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         f"{upper_mrad:.2g} mrad with 95 % probability."
     ),
     "held_by_weight": (
-        "The load's weight is above its friction {share:.0f %} of the time, so it rests on one "
-        "flank in both directions and hides the play. Record with the load balanced or the axis "
-        "upright, or move it over the top and back."
+        "The torque shows that weight, a spring or a hand is above the load's friction on one side "
+        "{share:.0f %} of the time. It may keep the load on one flank and hide any play "
+        "(probability {probability:.0f %}). Record with the load balanced or the axis upright, or "
+        "move it over the top and back."
     ),
     "change_of_bounds": (
         "No recording shows play, so the change is unknown. With 95 % probability, the gap grew by "
         "less than {upper_rad:.3f mrad}."
     ),
     "weight_unknown": (
-        "These data do not show play for certain (probability of play {probability:.0f %}), nor "
-        "whether the load's weight keeps it on one flank, which would hide any play. Record the "
-        "torque or current. If the axis is upright or the load is balanced, state upright = true "
-        "under [joint] (--upright)."
+        "The load's weight may keep it on one flank (probability {probability:.0f %}). That would "
+        "hide any play, and what lags would be wind-up. Record the torque or current. If the axis "
+        "is upright or the load is balanced, state upright = true under [joint] (--upright)."
     ),
     "nothing_told": (
         "These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "

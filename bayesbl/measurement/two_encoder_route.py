@@ -59,14 +59,9 @@ joint."""
 ALIASED = 0.9
 """Half turns of the motor in a sample: a position that wraps may then be of any turn."""
 
-HELD_BY_WEIGHT = 0.2
-"""Share of the moving time with the load's weight above its friction, from which the flanks do not
-turn with the direction."""
-
-RESTS = 1.0 / 3.0
-"""Probability that weight keeps a load on one flank, if wind-up is all that shows and neither a
-torque nor the user says. A judgement: as if weight kept one joint in five there, with even odds of
-play in the others."""
+RESTS = 0.2
+"""Probability that weight keeps a load on one flank, if neither a torque nor the user says. A
+judgement."""
 
 SAME_RATIO = 0.1
 """ln of what a gear ratio differs from another by, that it may be."""
@@ -213,31 +208,37 @@ class TwoEncoderMeasurer(Measurer):
         return stated is not None and abs(np.log(abs(measured))) < SAME_RATIO < abs(np.log(stated))
 
     def _probability_of_hidden_play(self, transmission: Transmission) -> float:
-        """That the load rests on one flank, where no play shows however large it is: what shows is
-        then wind-up alone."""
-        if self.config.joint.upright:
-            return 0.0
+        """That the load rests on one flank, where no play shows however large it is."""
         share = transmission.gravity_holds
-        rests = RESTS if np.isnan(share) else float(share > HELD_BY_WEIGHT)
-        return rests * (1.0 - transmission.probability_of_play)
+        if np.isnan(share):
+            rests = 0.0 if self.config.joint.upright else RESTS
+        else:
+            # A share of strokes is neither none nor all for sure: half a stroke more of each.
+            rests = (transmission.reversals * share + 0.5) / (transmission.reversals + 1.0)
+        none, seen, hidden = transmission.of_play
+        odds = (none + (1.0 - rests) * seen) / max(rests * hidden, 1e-300)
+        return 1.0 / (1.0 + odds)
 
     def _findings(self, transmission: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
         upper = upper_bound_rad(transmission)
         lost = float(np.median(transmission.draws["lost_motion_rad"]))
         lost_track = float(np.std(transmission.draws["channel_skew_s"])) > LONGEST_SKEW_S
-        probability = {"probability": transmission.probability_of_play}
-        if lost_track or transmission.probability_of_play < UPPER_BOUND_LEVEL:
-            if lost_track or upper > TOO_WIDE * float(np.ptp(transmission.position_rad)):
-                yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
-            elif self._probability_of_hidden_play(transmission) > 1.0 - UPPER_BOUND_LEVEL:
-                if np.isnan(transmission.gravity_holds):
-                    yield Reason("weight_unknown", probability)
-                else:
-                    yield Reason("held_by_weight", {"share": transmission.gravity_holds})
+        probability = transmission.probability_of_play
+        unsure = probability < UPPER_BOUND_LEVEL
+        too_wide = upper > TOO_WIDE * float(np.ptp(transmission.position_rad))
+        hidden = self._probability_of_hidden_play(transmission)
+        if lost_track or (unsure and too_wide):
+            yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
+        elif hidden > 1.0 - UPPER_BOUND_LEVEL:
+            if np.isnan(transmission.gravity_holds):
+                yield Reason("weight_unknown", {"probability": hidden})
             else:
-                bounds = {"upper_mrad": 1e3 * upper, "lost_mrad": 1e3 * lost}
-                yield Reason("play_not_told", {**probability, **bounds})
+                share = {"share": transmission.gravity_holds}
+                yield Reason("held_by_weight", {**share, "probability": hidden})
+        elif unsure:
+            bounds = {"upper_mrad": 1e3 * upper, "lost_mrad": 1e3 * lost}
+            yield Reason("play_not_told", {"probability": probability, **bounds})
         skews_ms = 1e3 * transmission.draws["channel_skew_s"]
         skew = {"skew_ms": float(np.median(skews_ms))}
         if transmission.skew_or_play:
@@ -266,7 +267,7 @@ class TwoEncoderMeasurer(Measurer):
             values = {"misfit_mrad": 1e3 * transmission.misfit_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
         before, after = transmission.half_lag_rad
-        if transmission.probability_of_play > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
+        if probability > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
             yield Reason("lag_changes", {"before_mrad": 2e3 * before, "after_mrad": 2e3 * after})
         if transmission.counted > 2.0:
             yield Reason("misfit_repeats", {"times": transmission.counted})

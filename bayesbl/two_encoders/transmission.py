@@ -22,7 +22,8 @@ lies between both directions, is δ and half of what friction of the load winds 
     h = δ + w/2
 
 w is what makers' sheets let expect, and, where there is a torque, what it does on the way between
-the flanks (:func:`of_windup`). δ has a mass at zero. Skew, eccentricity and a
+the flanks (:func:`of_windup`). δ has a mass at zero. If weight keeps the load on one flank, h is
+w/2 alone, whatever δ is: a third case beside play and none. Skew, eccentricity and a
 wrong ratio make no lag that keeps its size from slow to fast and turns with the direction: they are
 told from play by their evidence, here and not before.
 """
@@ -37,7 +38,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp, ndtr, ndtri
+from scipy.special import logsumexp, ndtr, ndtri, softmax
 from scipy.stats import beta as beta_distribution
 from scipy.stats import norm, qmc
 
@@ -286,8 +287,11 @@ class Transmission:
     reversals
         Of the motor.
     friction_nm, gravity_holds
-        Friction at the output by the torque, and how often the load's weight is above it: nan where
-        no torque tells it.
+        Friction at the output by the torque, and how much more often the load's weight is above it
+        on one side than on the other: nan where no torque tells it.
+    of_play
+        Evidence, up to a factor, of a joint without play, of one with play whose load leaves its
+        flank, and of one with play whose load rests on a flank, each with its odds of play.
     skew_or_play
         All motion has one speed, and between the flanks the load goes its own way, or coasts and
         play is not sure, or most of what lies between both directions is taken for skew of the
@@ -309,6 +313,7 @@ class Transmission:
     reversals: int
     friction_nm: float | None
     gravity_holds: float
+    of_play: tuple[float, float, float]
     skew_or_play: bool
 
 
@@ -485,7 +490,7 @@ class Model:
         self.reference = Cell(0, 0.0, -1e9, as_read[1], as_read, self.measured_lag)
         self.counted = 1.0
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
-        # By the torque: the friction, and how often the load's weight is above it.
+        # By the torque: the friction, and how often the load's weight holds it on one flank.
         self.friction_nm: float | None = None
         self.gravity_holds = np.nan
         if paths.torque_nm is not None:
@@ -709,9 +714,9 @@ def of_motor(paths: Paths) -> tuple[FloatArray, NDArray[np.bool_]]:
 
 
 def of_friction(paths: Paths) -> tuple[float, float]:
-    """Friction that turns with the direction, N m, by the motor's torque, and how often the torque
-    of the load's weight is above it. Inertia that is a curve of the angle counts as weight: it may
-    be that.
+    """Friction that turns with the direction, N m, by the motor's torque, and how much more often
+    the torque of the load's weight is above it on one side than on the other; nan if no friction
+    shows. Inertia that is a curve of the angle counts as weight: it may be that.
     """
     assert paths.torque_nm is not None
     columns, moves = of_motor(paths)
@@ -720,8 +725,10 @@ def of_friction(paths: Paths) -> tuple[float, float]:
     columns[:, 2] *= float(own_inertia @ own_inertia) > ALIKE * float(inertia @ inertia)
     beta = np.linalg.lstsq(columns[moves], paths.torque_nm[moves], rcond=1e-6)[0]
     fast = np.abs(columns[:, 1]) > 0.2
-    held = np.abs(columns[fast, 3:] @ beta[3:])
-    return max(float(beta[0]), 0.0), float(np.mean(held > beta[0]))
+    pull, friction = columns[fast, 3:] @ beta[3:], float(beta[0])
+    if friction <= 0.0:
+        return 0.0, np.nan
+    return friction, float(abs(np.mean(np.sign(pull) * (np.abs(pull) > friction))))
 
 
 def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -849,7 +856,7 @@ def fit_transmission(
     found = [
         _answered(*each, final, seed, of_joint) for each, final in zip(own, finals, strict=True)
     ]
-    return _mixed(found[0], found[-1], seed) if at.edge_s else found[0][0]
+    return _mixed(found, seed)
 
 
 def _with_own_way(
@@ -895,20 +902,21 @@ def _answered(
 
 
 def _mixed(
-    usual: tuple[Transmission, float],
-    late: tuple[Transmission, float],
-    seed: np.random.SeedSequence,
+    found: Sequence[tuple[Transmission, float]], seed: np.random.SeedSequence
 ) -> Transmission:
-    """Draws of two answers by their evidence: all passages at one speed are alike, and tell only
-    once which skew is the right one. What no draws say is of the likelier.
+    """Draws of all answers by their evidence: all passages at one speed are alike, and tell only
+    once which skew is the right one. What no draws say is of the likeliest.
     """
-    share = 1.0 / (1.0 + np.exp(np.clip(usual[1] - late[1], -700.0, 700.0)))
-    is_late = np.random.default_rng(seed.spawn(1)[0]).uniform(size=DRAWS) < share
-    first, second = usual[0].draws, late[0].draws
-    draws = {k: np.where(is_late, second[k], first[k]) for k in first if k in second}
+    answers = [transmission for transmission, _ in found]
+    shares = softmax([evidence for _, evidence in found])
+    of = np.random.default_rng(seed.spawn(1)[0]).choice(shares.size, size=DRAWS, p=shares)
+    best = answers[int(shares.argmax())]
+    common = [name for name in best.draws if all(name in each.draws for each in answers)]
+    draws = {name: np.choose(of, [each.draws[name] for each in answers]) for name in common}
     return replace(
-        late[0] if share > 0.5 else usual[0],
+        best,
         draws=draws,
+        of_play=tuple(shares @ np.array([each.of_play for each in answers])),
         probability_of_play=float(np.mean(draws["delta_rad"] > 0.0)),
     )
 
@@ -1077,11 +1085,12 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
-def _density_of_held(
-    model: Model, cell: Cell
-) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
-    """Over ln(w/2) of half of what friction winds up: densities of usual and of soft joints, and
-    the likelihood by the inertia.
+def _density_of_held(model: Model, cell: Cell) -> Callable[[FloatArray], tuple[FloatArray, ...]]:
+    """Over ln(w/2) of half of what friction winds up: densities of usual and of soft joints, the
+    likelihood by the inertia, and density times likelihood of a joint whose play weight hides.
+
+    On one flank w/2 alone shows, whatever δ is. The load's weight is then above its friction, which
+    bounds d; and a joint so soft that it rings below some 9 Hz is rare.
 
     Friction that winds the joint up by w/2 and stops a free load by d comes with an inertia that
     winds it up by w/2d per acceleration. That is seen, or not: a large w needs much friction then.
@@ -1097,49 +1106,65 @@ def _density_of_held(
     how = model.courses[cell.course]
     sides = np.array([-1.0, 1.0] if how.free else [1.0] if how.drives else [-1.0])[:, None, None]
     measured, spread = cell.beta[inertia] / (variance * known), np.hypot(known**-0.5, FILTERS_S2)
-    stops = STOPS * np.exp(STOPS_SPREAD * ndtri((np.arange(64) + 0.5) / 64.0))
+    even = (np.arange(64) + 0.5) / 64.0
     logs = np.linspace(np.log(1e-9), np.log(1e2), 600)
-    winds = np.exp(logs)[:, None] / stops
-    likely = norm.pdf(measured, sides * winds, spread).mean(axis=(0, 2))
-    likely /= norm.pdf(measured, 0.0, np.hypot(spread, INERTIA_S2))
+
+    def likely(stops: FloatArray, softest_s2: float = np.inf) -> FloatArray:
+        winds = np.exp(logs)[:, None] / stops
+        of_inertia = norm.pdf(measured, sides * winds, spread)
+        of_inertia *= np.exp(-0.5 * (winds / softest_s2) ** 2)
+        usual = norm.pdf(measured, 0.0, np.hypot(spread, INERTIA_S2))
+        return np.asarray(of_inertia.mean(axis=(0, 2)) / usual)
+
     usual = norm.pdf(logs, np.log(HELD_RAD), HELD_SPREAD)
     soft = norm.pdf(logs, np.log(SOFT_RAD), SOFT_SPREAD)
-    densities = usual, soft, likely
+    any_stop = likely(STOPS * np.exp(STOPS_SPREAD * ndtri(even)))
+    below_weight = likely((np.geomspace(*WEIGHT, 64)[:, None] * even[::8]).ravel(), INERTIA_S2)
+    delta = np.geomspace(*PLAY_RAD, 256)
+    part, is_soft = np.exp(logs)[:, None] / (np.exp(logs)[:, None] + delta), _is_soft(delta)
+    hidden = is_soft * beta_distribution.pdf(part, *SOFT_PART) * part * (1.0 - part)
+    hidden += (1.0 - is_soft) * usual[:, None]
+    densities = usual, soft, any_stop, hidden.mean(axis=1) * below_weight
 
-    def at(held: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        first, second, third = (np.interp(np.log(held), logs, each) for each in densities)
-        return first, second, third
+    def at(held: FloatArray) -> tuple[FloatArray, ...]:
+        return tuple(np.interp(np.log(held), logs, each) for each in densities)
 
     return at
+
+
+def _is_soft(delta: FloatArray) -> FloatArray:
+    """Probability of a joint with this δ, rad, to be no precision reducer."""
+    return SOFT + (1.0 - SOFT) * delta**2 / (delta**2 + PRECISE_RAD**2)
 
 
 def _priors(
     cells: Sequence[Cell],
     flies: NDArray[np.bool_],
     likely: FloatArray,
-    of_held: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
-) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Log densities over ln h at cells, without play and with it, (cells,), and the latter's
-    shares by ``PARTS`` of h that are wound up, of usual and of soft joints, (2, cells, parts).
-    ``likely``: by the torque; ``of_held``: densities of what is wound up. Where the load ``flies``
-    from flank to flank, it does so over a part of h that is no wind-up, and all sizes of that part
-    are alike.
+    of_held: Callable[[FloatArray], tuple[FloatArray, ...]],
+) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]:
+    """Log densities over ln h at cells, without play, with it and with one that is hidden,
+    (cells,), and the second's shares by ``PARTS`` of h that are wound up, of usual and of soft
+    joints, (2, cells, parts). ``likely``: by the torque; ``of_held``: densities of what is wound
+    up. Where the load ``flies`` from flank to flank, it does so over a part of h that is no
+    wind-up, and all sizes of that part are alike.
     """
     half = np.array([c.half_rad for c in cells])
     likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
-    usual, _, inertia = of_held(half[:, None] * PARTS)
-    share = SOFT + (1.0 - SOFT) * gap**2 / (gap**2 + PRECISE_RAD**2)
+    usual, _, inertia, _ = of_held(half[:, None] * PARTS)
+    share = _is_soft(gap)
     # Over the logits here.
     soft = beta_distribution.pdf(PARTS, *SOFT_PART) * PARTS * (1.0 - PARTS)
     of_gap = np.stack([(1.0 - share) * usual, share * soft])
     of_gap *= inertia * likely * ((gap > low) & (gap < high))
     of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
-    usual, soft, inertia = of_held(half)
+    usual, soft, inertia, hidden = of_held(half)
     with np.errstate(divide="ignore"):
-        held = ((1.0 - SOFT) * usual + SOFT * soft) * inertia
-        bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * held)
-        return (bare, np.log(of_gap.sum(axis=(0, 2)))), np.asarray(of_gap)
+        held = NO_PLAY * ((1.0 - SOFT) * usual + SOFT * soft) * inertia
+        alone = np.maximum(likely[:, -1], IMPOSSIBLE)
+        bare, rests = np.log(alone * held), np.log((1.0 - NO_PLAY) * alone * hidden)
+        return (bare, np.log(of_gap.sum(axis=(0, 2))), rests), np.asarray(of_gap)
 
 
 def _drawn(
@@ -1169,8 +1194,10 @@ def _drawn(
         for each, prior in zip(lists, priors, strict=True)
     )
     # An interval of h that reaches down to none leaves it open whether there is any.
-    bare, with_play = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
-    probability = float(np.exp(with_play - np.logaddexp(bare, with_play)).min())
+    bare, with_play, rests = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
+    seen = np.logaddexp(bare, with_play)
+    probability = float(np.exp(with_play - seen).min())
+    of_play = np.exp(np.array([bare, with_play, rests]) - np.logaddexp(seen, rests)).T
     # The same joint has play or none in all recordings, and is as soft: a change is not as unknown
     # as what it is of. Its friction is not the same.
     joint = np.random.default_rng(of_joint)
@@ -1178,7 +1205,7 @@ def _drawn(
     plays = joint.uniform(size=count) < probability
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    for mine, masses, wide in zip((~plays, plays), sharp, blunt, strict=True):
+    for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
         courses = (c.course for c in by_noise[:-1])
         known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
         if not has_one_speed(model.paths):
@@ -1276,6 +1303,7 @@ def _drawn(
         paths.reversals,
         model.friction_nm,
         model.gravity_holds,
+        max(map(tuple, of_play.tolist()), key=lambda each: each[2]),
         has_one_speed(paths)
         and bool(
             (np.mean(stays) < 0.5 and np.mean(delta > 0.0) < SURE)

@@ -101,6 +101,36 @@ def test_a_load_that_may_rest_on_one_flank_gets_no_bound_without_torque(tmp_path
     assert part["delta_upper_bound_rad"] < 1e-3
 
 
+def test_wind_up_of_a_soft_joint_on_one_flank_is_not_a_bound_of_its_play(tmp_path):
+    """Weight above its friction keeps the load on a flank: only what friction winds up shows."""
+    wound, rings_s2 = 4e-3, 1e-4
+    time = np.arange(0.0, 40.0, 5e-3)
+    motor = 0.2 * np.sin(1.6 * time) + 0.1 * np.sin(2.7 * time + 1.0)
+    load, at = [], motor[0]
+    for x in motor:
+        at = min(max(at, x - wound), x + wound)
+        load.append(at)
+    # On its flank, and behind by its inertia.
+    load = np.array(load) - 0.015 - rings_s2 * np.gradient(np.gradient(motor, time), time)
+    load += 3e-4 * np.random.default_rng(4).standard_normal(time.size)
+    columns = {"time_s": time, "motor_position_rad": RATIO * motor, "load_position_rad": load}
+    assert run("fit", write_csv(tmp_path / "held.csv", columns), "--out", tmp_path / "out") == 3
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["reason"]["code"] == "weight_unknown"
+
+
+def test_an_upright_joint_that_a_hand_holds_on_one_flank_gets_no_bound(tmp_path):
+    """Not only weight holds a load: the torque shows that something does."""
+
+    def torque(time):
+        return (30.0 + 5.0 * np.sign(np.cos(np.pi * time))) / RATIO
+
+    file = write(tmp_path / "held.csv", play=0.0, motor_torque_nm=torque)
+    assert run("fit", file, "--upright", "--out", tmp_path / "out") == 3
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["reason"]["code"] == "held_by_weight"
+
+
 def test_a_likely_play_leaves_its_load_no_flank_to_rest_on(tmp_path):
     """What shows is play, not wind-up on one flank: its bound needs no torque."""
     play = 3e-3
