@@ -314,13 +314,18 @@ def budget(summary: MeasuredSummary) -> Iterator[str]:
 
 
 def friction(summary: MeasuredSummary) -> Iterator[str]:
-    """The friction that the direct route fitted to all recordings, in one line."""
+    """The friction that the direct route fitted to all recordings, in one line.
+
+    Friction less than two standard deviations from zero is left out: a 90 % interval at two is
+    (1 − 0.82) to (1 + 0.82) of its centre, with ends that differ by a factor of ten.
+    """
     for route in answering(snapshots(summary)[0][1]):
         each = [
             f"{name_in_words(effect)} {words.with_ends(value)} {quantity_and_unit(parameter)[1]}"
             for name, value in route["parameters"].items()
             for effect, _, parameter in [name.partition("__")]
             if "cramer_rao_sd" in route and effect.endswith("friction")
+            if value["low"] > 0.1 * value["high"]
         ]
         if each and route["delta_rad"] is not None:
             yield f"Friction, fitted with the gap: {', '.join(each)}."
