@@ -33,6 +33,7 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.rotation_noise import innovation_share
+from bayesbl.progress import Progress, silent
 
 NAME = "planned"
 
@@ -84,7 +85,12 @@ class PlannedMotion(Strokes):
 
 
 def ranked_motions(
-    bench: Bench, limits: Strokes, gap_rad: float, sampling_hz: float, workers: int = 1
+    bench: Bench,
+    limits: Strokes,
+    gap_rad: float,
+    sampling_hz: float,
+    workers: int = 1,
+    progress: Progress = silent,
 ) -> list[PlannedMotion]:
     """Candidate strokes within the limits, the most precise for δ first.
 
@@ -95,11 +101,12 @@ def ranked_motions(
     BenchError
         If the bench has no noise, or can follow none of the motions.
     """
-    evaluated = (
-        _planned(bench, candidate, gap_rad, sampling_hz, workers)
-        for candidate in candidates(bench, limits)
-    )
-    planned = [motion for motion in evaluated if motion is not None]
+    tried, planned = list(candidates(bench, limits)), []
+    for made, candidate in enumerate(tried):
+        progress(made, len(tried))
+        motion = _planned(bench, candidate, gap_rad, sampling_hz, workers)
+        if motion is not None:
+            planned.append(motion)
     if not planned:
         raise BenchError(
             "The drive can follow none of the motions within these limits.",

@@ -9,6 +9,7 @@ import xarray as xr
 
 from bayesbl.config.kinds import PlanConfig
 from bayesbl.matching.planning import Strokes, noise_of_bench, ranked_motions
+from bayesbl.progress import of_stage
 from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, json_text
@@ -75,7 +76,10 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     limits, bench = config.limits, bench_from(config.bench)
     require_gap(bench, config.bench)
     allowed = Strokes(**limits.model_dump())
-    motions = ranked_motions(bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers)
+    report = of_stage(options.progress, "Ranking motions")
+    motions = ranked_motions(
+        bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers, report
+    )
     shown = any(motion.flank_changes for motion in motions)
     low, high = ([motion.range_rad[end] for motion in motions] for end in (0, 1))
     values = (columns(MOTIONS, motions), {"low_rad": low, "high_rad": high})
