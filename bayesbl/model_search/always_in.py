@@ -101,6 +101,7 @@ LEAST_SHARE = 0.01
 SAMPLED = "sampled_control"
 DEAD_TIME = Slot.sampled_control__delay_periods.name
 INSTANT_SHARE = Slot.sampled_control__instant_share.name
+CURRENT_SKEW = Slot.channel_time_skew__current_s.name
 UNIFORM_SD = 1.0 / math.sqrt(3.0)
 """Root mean square of a share that may be anything between 0 and 1."""
 
@@ -228,8 +229,12 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                     yield Direction(INSTANT_SHARE, UNIFORM_SD, 0.0, positive=True)
         elif effect.always_in or effect.may_change:
             usual = _usual(bench, effect.name) if effect.always_in else 0.0
+            slot = f"{effect.name}__{main.name}"
+            if slot == CURRENT_SKEW and SAMPLED in present:
+                # A drive measures the current before the new torque acts, or logs a later demand.
+                usual = present[SAMPLED].complete()["period_s"]
             yield Direction(
-                f"{effect.name}__{main.name}",
+                slot,
                 usual,
                 drift_of(effect.name, stated) * usual,
                 changed,
@@ -805,6 +810,7 @@ def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[Si
     moving = any(observation.motion is not None for observation in fit.model.recordings)
     stated = next((e for e in fit.model.bench.effects if e.name == SAMPLED), None)
     free_names = {unknown.name for unknown in fit.model.unknowns}
+    with_current = {CURRENT_SKEW for o in fit.model.recordings if len(o.signals) > 1}
     if stated is None:
         periods_s: tuple[float, ...] = () if moving else USUAL_PERIODS_S
     else:
@@ -816,15 +822,17 @@ def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[Si
         if stated is None:
             ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
             bench = bench.with_effects(*bench.effects, ticks)
-        freed = [
-            d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - free_names
-        ]
+        loop_slots = {DEAD_TIME, INSTANT_SHARE, *with_current} - free_names
+        freed = [d for d in directions(bench, {}) if d.slot in loop_slots and d.usual > 0.0]
+        bench = with_neutral(bench, freed)
         added = [
             u for d in freed for u in Label((d,), None).unknowns(bench.vector()[0], np.ones(1))
         ]
         models[period_s] = fit.model.with_unknowns(bench, added)
-        for loop in itertools.product(USUAL_DELAYS, (0.0, 1.0)[: len(added)]):
-            point = np.concatenate([fit.point, loop[: len(added)]])
+        shares = (0.0, 1.0) if any(u.name == INSTANT_SHARE for u in added) else (0.0,)
+        for delay, share in itertools.product(USUAL_DELAYS, shares):
+            values = {DEAD_TIME: delay, INSTANT_SHARE: share}
+            point = np.append(fit.point, [values.get(u.name, 0.0) for u in added])
             residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
                 chi_square, shift = minimal_chi_square(residual)
@@ -834,12 +842,12 @@ def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[Si
     if not promises:
         return fits
     _, first_s, point = min(promises, key=lambda promise: promise[:2])
-    steps, goal, delay = fit.steps, _goal(fit), fit.point.size
+    steps, goal, first_added = fit.steps, _goal(fit), fit.point.size
     for period_s in sorted(models, key=lambda period_s: abs(math.log(period_s / first_s))):
         model, start = models[period_s], point.copy()
         late_s = sampled_lateness_s(models[first_s].vectors(point[None], model.recordings[0]))
         later_s = late_s - sampled_lateness_s(model.vectors(point[None], model.recordings[0]))
-        start[delay] += later_s[0] / period_s
+        start[first_added] += later_s[0] / period_s
         with suppress(BenchError):
             fits.append(fit_simulated(model, start, steps, rough=True, goal=goal))
             if period_s == first_s:

@@ -207,9 +207,11 @@ def test_a_period_that_nobody_states_is_found_beside_dry_friction(
     assert_holds_the_gaps(whole)
     (ticks,) = [e for e in whole.linear_fit.fit.model.bench.effects if e.name == "sampled_control"]
     assert ticks.complete()["period_s"] == period_s
-    assert whole.linear_fit.fit.value("sampled_control__delay_periods") == pytest.approx(
-        delay, abs=0.1
-    )
+    fit = whole.linear_fit.fit
+    share = fit.value("sampled_control__instant_share")
+    # The age of the current does not say how late the loop is, so a share may make up for a delay.
+    late = fit.value("sampled_control__delay_periods") - 0.5 * share
+    assert late == pytest.approx(delay, abs=0.1)
 
 
 def test_loops_that_fit_alike_are_averaged_over(independent: ModuleType) -> None:
@@ -225,6 +227,22 @@ def test_loops_that_fit_alike_are_averaged_over(independent: ModuleType) -> None
     assert sum(share for _, share in whole.others) < 1.0
     for fit, share in loops:
         assert share < 1e-3 or fit.chi_square < chosen.chi_square + 20.0
+
+
+def test_a_current_that_is_read_before_the_new_torque_acts_moves_no_gap(
+    independent: ModuleType,
+) -> None:
+    """As drives measure it: a period older than the loop's dead time says, beside a filter."""
+    truth = {name: item.value for name, item in BENCH.parameters.items()}
+    truth |= {"sampled_control.period_s": 1e-3, "sampled_control.delay_periods": 1.0}
+    truth |= {"outside__loop_filter": 0.7, "channel_time_skew.current_s": 1e-3}
+    shares = {INERTIA: 0.05, STIFFNESS: 0.08, GRAVITY: 0.04, GAIN: 0.05}
+    known = {n: BenchParameter(BENCH.value(n), s * BENCH.value(n)) for n, s in shares.items()}
+    sheet = replace(BENCH, parameters={**BENCH.parameters, **known})
+    period = BenchEffect("sampled_control", {"period_s": EffectParameterValue(1e-3)})
+    seen = by_ticks(independent, sheet.with_effects(period), truth | {"start_angle_rad": 0.4}, True)
+    whole = fit_jointly(sheet.with_effects(period), seen, (1e-4, 1e-2), {})
+    assert_holds_the_gaps(whole)
 
 
 GAPS_RAD = {"before": 7e-4, "after": 9e-4}

@@ -113,7 +113,9 @@ def _skew(name: str, typical: float) -> EffectParameter:
 
 # Caused by different filters and buses. A skew of all channels together is equivalent to a start
 # angle, so a search in the loop frees only that of the current. In a rigid comparison, the skew
-# shifts the motion, not the signal: its law adds nothing.
+# shifts the motion, not the signal: its law adds nothing. Beside a digital controller, that of the
+# current is always in: most drives measure it before the new torque acts, others log what they ask
+# for. Otherwise its age would decide how late the loop is, and with it the gap.
 CHANNEL_TIME_SKEW = Effect(
     place=200,
     name="channel_time_skew",
