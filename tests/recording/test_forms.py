@@ -559,6 +559,8 @@ def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
     _, speed_, position = guess_columns(read_table(file)).columns
     assert (speed_.unit, position.unit) == ("rad/s", "rad")  # ROS logs in SI units
     assert "slow for a motor" in speed_.reason
+    assert position.sure
+    assert position.reason == "ROS logs in SI units (REP 103)"
     # The position alone: its unit is asked for, and stated it is slow for a motor.
     file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position"))
     assert guess_columns(read_table(file)).columns[1].unit == UNKNOWN
