@@ -700,10 +700,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         f"{upper_mrad:.2g} mrad with 95 % probability."
     ),
     "held_by_weight": (
-        "The torque shows that weight, a spring or a hand is above the load's friction on one side "
-        "{share:.0f %} of the time. It may keep the load on one flank and hide any play "
-        "(probability {probability:.0f %}). Record with the load balanced or the axis upright, or "
-        "move it over the top and back."
+        "The torque shows that weight, a spring or a hand is above the load's friction more often "
+        "on one side, by {share:.0f %} of the time. It may keep the load on one flank and hide any "
+        "play (probability {probability:.0f %}). Record with the load balanced or the axis "
+        "upright, or move it over the top and back."
     ),
     "change_of_bounds": (
         "No recording shows play, so the change is unknown. With 95 % probability, the gap grew by "
@@ -711,8 +711,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "weight_unknown": (
         "The load's weight may keep it on one flank (probability {probability:.0f %}). That would "
-        "hide any play, and what lags would be wind-up. Record the torque or current. If the axis "
-        "is upright or the load is balanced, state upright = true under [joint] (--upright)."
+        "hide any play, and what lags would be wind-up. Record a torque or current that shows "
+        "friction. If the axis is upright or the load is balanced, state upright = true under "
+        "[joint] (--upright)."
     ),
     "nothing_told": (
         "These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "

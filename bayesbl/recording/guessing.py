@@ -794,14 +794,17 @@ def _of_position(
     if explained < _IS_INTEGRAL or not pairs:
         asked = "enter its unit, as it is the position's derivative in none: "
         return {MOTOR_SPEED: (UNKNOWN, asked + choice_of_units(MOTOR_SPEED))} if units else {}
-    of_name = _unit_of_name(MOTOR_SPEED, chosen[MOTOR_SPEED])
-    pairs = [pair for pair in pairs if of_name and pair[0] == of_name[0]] or pairs
+    by_name = {c: _unit_of_name(c, chosen[c]) for c in (MOTOR_SPEED, MOTOR_POSITION)}
+    of_speed = by_name[MOTOR_SPEED]
+    pairs = [pair for pair in pairs if of_speed and pair[0] == of_speed[0]] or pairs
     if len(pairs) > 1:
         agreeing = " or ".join(f"{speed_unit} and {angle}" for speed_unit, angle in pairs)
         asked = f"enter its unit: speed and position agree in {agreeing}"
         return dict.fromkeys((MOTOR_SPEED, MOTOR_POSITION), (UNKNOWN, asked))
     reason = "speed and position then agree"
-    return {MOTOR_SPEED: (pairs[0][0], reason), MOTOR_POSITION: (pairs[0][1], reason)}
+    found = zip(by_name, pairs[0], strict=True)
+    # A name that states the unit is the better reason.
+    return {c: (unit, reason) for c, unit in found if by_name[c] != (unit, BY_ROS, True)}
 
 
 def _possible(channel: str, column: _Named) -> Sequence[str]:

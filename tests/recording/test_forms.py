@@ -559,6 +559,8 @@ def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
     _, speed_, position = guess_columns(read_table(file)).columns
     assert (speed_.unit, position.unit) == ("rad/s", "rad")  # ROS logs in SI units
     assert "slow for a motor" in speed_.reason
+    assert position.sure
+    assert position.reason == "ROS logs in SI units (REP 103)"
     # The position alone: its unit is asked for, and stated it is slow for a motor.
     file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position"))
     assert guess_columns(read_table(file)).columns[1].unit == UNKNOWN
@@ -1946,6 +1948,18 @@ def of_differences(lines: list[str]) -> list[str]:
     return [spaced(line, f" ({step:010.6f})") for step, line in zip(steps, lines, strict=True)]
 
 
+def of_times_out_of_order(lines: list[str]) -> list[str]:
+    """Lines of ``candump -tz`` of two buses, of which two came out of order."""
+    stamps = [float(line[1 : line.index(")")]) for line in lines]
+    rows = [
+        spaced(line, f" ({stamp - stamps[0]:010.6f})")
+        for stamp, line in zip(stamps, lines, strict=True)
+    ]
+    other = next(i for i, row in enumerate(rows) if "  142  " in row and i > 100)
+    rows[other : other + 2] = rows[other + 1], rows[other]
+    return rows
+
+
 def of_relative_stamps(lines: list[str]) -> list[str]:
     """Lines of Vector's tools with the time since the line before."""
     before, written = 0.0, []
@@ -1966,6 +1980,7 @@ def of_relative_stamps(lines: list[str]) -> list[str]:
         ("asc", lambda lines: [line for line in lines if re.match(r"\s*\d+\.\d+ +1 ", line)]),
         ("asc", of_relative_stamps),
         ("log", of_differences),
+        ("log", of_times_out_of_order),
     ],
 )
 def test_a_can_log_may_lack_a_header_or_have_relative_stamps(suffix, rewrite, tmp_path):

@@ -88,8 +88,11 @@ def _frames(file: Path, log: bytes) -> Iterator[tuple[float, object, tuple[int, 
             expected="a log of `candump -L` or `candump -tz`",
         )
     seconds = [(stamp - stamps[0]).total_seconds() for stamp in stamps]
-    if any(b < a for a, b in pairwise(seconds)) and isinstance(stamps[0], timedelta):
-        # Of candump -td: the time since the frame before.
+    steps = [b - a for a, b in pairwise(seconds)]
+    falls = min(steps, default=0.0) < 0.0
+    if falls and isinstance(stamps[0], timedelta) and max(seconds) <= 2.0 * max(steps):
+        # Of candump -td: the time since the frame before. Times since the start fall too where
+        # frames of two buses are out of order, but they add up to far more than any one step.
         seconds = [*accumulate(stamp.total_seconds() for stamp in stamps)]
     for second, frame in zip(seconds, frames, strict=True):
         if not frame.is_remote_frame:
