@@ -799,7 +799,8 @@ def _of_position(
     pairs = [pair for pair in pairs if of_speed and pair[0] == of_speed[0]] or pairs
     if len(pairs) > 1:
         agreeing = " or ".join(f"{speed_unit} and {angle}" for speed_unit, angle in pairs)
-        asked = f"enter its unit: speed and position agree in {agreeing}"
+        readings = _readings(MOTOR_SPEED, chosen[MOTOR_SPEED])
+        asked = f"enter its unit: {readings}speed and position agree in {agreeing}"
         return dict.fromkeys((MOTOR_SPEED, MOTOR_POSITION), (UNKNOWN, asked))
     reason = "speed and position then agree"
     found = zip(by_name, pairs[0], strict=True)
