@@ -94,5 +94,5 @@ def test_a_gear_ratio_that_is_not_the_rotations_is_told(tmp_path: Path, no_figur
         == 3
     )
     told = said(capsys)
-    for word in ("gear ratio of 60", "3.6 s", "1.8 s", "fit one of 120"):
+    for word in ("gear ratio of 60", "3.6 s", "1.8 s", "a ratio of 120"):
         assert word in told

@@ -442,7 +442,7 @@ def test_a_gap_beyond_its_range_is_withheld():
     fit = fitted(bench(), record(bench(), 8e-4, 15), gap_rad=(1e-4, 7e-4))
     posterior = sample_direct(fit, SETTINGS, np.random.SeedSequence(1))
     assert posterior.diagnostics.outcome == "withheld"
-    assert "upper bound of its range" in posterior.diagnostics.reasons[0]
+    assert posterior.diagnostics.failures[0].code == "gap_at_bound"
 
 
 @pytest.mark.long

@@ -296,14 +296,14 @@ def test_what_does_not_go_with_ramps_is_refused(tmp_path: Path, changed: str, wo
 
 def test_init_takes_position_and_torque_without_a_speed_for_ramps(tmp_path: Path) -> None:
     time, torque, position = ramps()
-    columns = {"TIME": time, "POSITION [rad]": position, "TORQUE": torque}
+    columns = {"TIME": time, "POSITION [rad]": position, "TORQUE [N m]": torque}
     file = write_csv(tmp_path / "a.csv", columns)
     assert guess_columns(read_table(file)).route == "torque_ramp"
     config = tmp_path / "a.toml"
     assert status(["init", str(file), "--out", str(config)]) == 0
     loaded = load_config(config)
     assert loaded.estimator.route == "torque_ramp"
-    assert loaded.column_specs["motor_torque_nm"] == ColumnSpec("TORQUE", "N m")
+    assert loaded.column_specs["motor_torque_nm"] == ColumnSpec("TORQUE [N m]", "N m")
 
 
 def test_a_position_without_a_unit_is_asked_for_and_never_taken_as_radians(
@@ -311,7 +311,7 @@ def test_a_position_without_a_unit_is_asked_for_and_never_taken_as_radians(
 ) -> None:
     time, torque, position = ramps()
     turns = position / (2.0 * np.pi)
-    file = write_csv(tmp_path / "a.csv", {"TIME": time, "POSITION": turns, "TORQUE": torque})
+    file = write_csv(tmp_path / "a.csv", {"TIME": time, "POSITION": turns, "TORQUE [N m]": torque})
     config = tmp_path / "a.toml"
     assert status(["init", str(file), "--out", str(config)]) == 2
     assert "cannot run yet" in capsys.readouterr().err
