@@ -231,7 +231,7 @@ def published_curve(draws: int = 4000) -> GapCurve:
     unit of the last digit explains the difference.
     """
     centre = np.array(PUBLISHED_COEFFICIENTS)
-    coefficients = 1e-4 * centre
+    coefficients = 1e-4 * centre  # eq. 4 gives δ in 0.1 mrad
     low, high = (_amplitude_of(coefficients, gap_rad) for gap_rad in (1e-4, 4e-3))
     knots = np.geomspace(low, high, KNOTS)
     half = 0.5e-6  # of the last digit

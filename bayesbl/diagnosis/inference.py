@@ -9,6 +9,7 @@ posterior mean.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -430,26 +431,26 @@ _TINY = float(np.finfo(float).tiny)
 AnyView = TypeVar("AnyView", bound="View")
 
 
-class View:
+class View(ABC):
     """Recordings and a bench as an affine model around a fit."""
 
     @property
+    @abstractmethod
     def rows(self) -> Rows:
         """Rows that are compared."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def model(self) -> AffineModel:
         """Model at the present fit."""
-        raise NotImplementedError
 
     def prepared(self) -> Self:
         """The view at a first fit."""
         return self
 
+    @abstractmethod
     def refined(self, inference: Inference) -> Self:
         """The view at the fit that an inference gives, with finer shapes."""
-        raise NotImplementedError
 
     def settled(self, labels: Sequence[str]) -> Self:
         """The view at the fit with exactly these candidates; the same if it is linear."""

