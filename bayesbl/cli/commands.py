@@ -169,9 +169,9 @@ route | text | auto|amplitude|direct|torque_ramp|two_encoders | How to measure: 
     (auto), by ramps of torque with the output held, or by encoders of motor and load. [default:
     auto with a bench]
 start_from | path | RESULT | Earlier result of this joint, from whose optimum the search of the
-    ringing starts.
-check_sampler | flag | - | Sample the ringing's posterior again by nested sampling, and report
-    differences.
+    ringing starts (--route amplitude).
+check_sampler | flag | - | Sample the posterior again by nested sampling, and withhold the answer
+    if the two differ (--route amplitude).
 limit | text | LIMIT | Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at
     0.4 m", "1 arcmin lost_motion at 3 %" (of the rated torque).
 limit_rad | number | RAD | Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ
@@ -189,6 +189,9 @@ speed_rpm | number | RPM | Largest speed of the motor. [default: 1500]
 acceleration_rpm_per_s | number | RPM/S | Largest acceleration of the motor. [default: 6000]
 duration_s | number | S | Length of the recording. [default: 20]
 gap_rad | number | RAD | Gap that the plan is calculated for. [default: 0.0008]
+simulate.out | path | FOLDER | Output folder. [default: the configuration's, else its own folder]
+simulate.workers | whole | N | Largest number of processes; results do not depend on it. [default:
+    the configuration's, else 1]
 init.bench | flag | - | Write joint.toml instead, a data sheet of the joint to fill in.
 init.out | path | FILE | The file to write. [default: RECORDING.toml]
 init.joint | text | NAME | The joint to choose, if a file has several.
@@ -454,7 +457,7 @@ def watch_command(
 @_takes("credentials once")
 def collect_command(
     url: Annotated[
-        str, typer.Argument(metavar="URL", help="mqtts://broker/topic; topics below it count too.")
+        str, typer.Argument(metavar="URL", help="mqtts://broker/topic; includes all topics below.")
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of recordings.parquet.")],
     **given: Any,
