@@ -153,10 +153,10 @@ _TYPES: Mapping[str, Any] = {
 _OPTIONS = """
 config | path | FILE | Configuration; options override it.
 out | path | FOLDER | Output folder. [default: the configuration's, else results/CONFIG or
-    results/COMMAND_RECORDING]
+    results/COMMAND_RECORDING; simulate: beside the configuration]
 seed | whole | N | Seed of all random numbers. [default: 1]
 workers | whole | N | Largest number of processes; results do not depend on it. [default: all
-    cores]
+    cores; simulate: 1]
 scheduler | text | ADDRESS | Run a study or a fleet on the Dask cluster of this scheduler, e.g.
     tcp://host:8786.
 force | flag | - | Replace a finished result, or start over.
@@ -189,9 +189,6 @@ speed_rpm | number | RPM | Largest speed of the motor. [default: 1500]
 acceleration_rpm_per_s | number | RPM/S | Largest acceleration of the motor. [default: 6000]
 duration_s | number | S | Length of the recording. [default: 20]
 gap_rad | number | RAD | Gap that the plan is calculated for. [default: 0.0008]
-simulate.out | path | FOLDER | Output folder. [default: the configuration's, else its own folder]
-simulate.workers | whole | N | Largest number of processes; results do not depend on it. [default:
-    the configuration's, else 1]
 init.bench | flag | - | Write joint.toml instead, a data sheet of the joint to fill in.
 init.out | path | FILE | The file to write. [default: RECORDING.toml]
 init.joint | text | NAME | The joint to choose, if a file has several.
