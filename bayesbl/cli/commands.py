@@ -381,7 +381,8 @@ def compare_command(
         Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
     ],
     later: Annotated[
-        list[Path], typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order.")
+        list[Path],
+        typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order of date."),
     ],
     **given: Any,
 ) -> None:

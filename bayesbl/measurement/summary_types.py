@@ -253,9 +253,8 @@ class ForecastFromPrior(TypedDict):
     """How much of a forecast comes from the prior.
 
     ``width_over_prior`` is the width of ln years_to_limit, over its width by the prior alone with
-    the same gap and mean rate. Near 1, the recordings say almost nothing about the date.
-    ``probability_change_ahead`` is the share of forecasts in which wear changes between the last
-    recording and the limit. No recording can show such a change.
+    the same gap and mean rate. ``probability_change_ahead`` is the share of forecasts in which wear
+    changes between the last recording and the limit.
     """
 
     width_over_prior: float
