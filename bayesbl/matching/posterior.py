@@ -422,7 +422,8 @@ def _walk(
     generator = np.random.default_rng(seed.spawn(1)[0])
     independent = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
     if independent is not None:
-        return _independent(independent[0], settings, independent[1])
+        points, chosen, share = independent
+        return _independent(points[chosen], settings, share)
     walkers = walkers_needed(len(model.unknowns))
     start_seed, walk_seed = seed.spawn(2)
     starts = local.drawn(settings.ensembles * walkers, (model.low, model.high), start_seed)

@@ -53,7 +53,7 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
-from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted, speed_at
+from bayesbl.ringing.pointwise import likelihood_draws, predicted, speed_at
 from bayesbl.ringing.posterior import require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
@@ -549,15 +549,17 @@ def _noise_only(
     found = likelihood_draws(point, log_prior_of_amplitude, count, generator)
     if found is None:
         return groups
-    groups[shared.POSTERIOR_PREDICTIVE] = predictions(*found)
-    draws = {name: values.reshape(chains, -1) for name, values in found[0].items()}
-    baseline = found[1].reshape(*draws[AMPLITUDE].shape, terms)
+    flat, baseline, by_rotation = found
+    groups[shared.POSTERIOR_PREDICTIVE] = predictions(flat, baseline)
+    draws = {name: values.reshape(chains, -1) for name, values in flat.items()}
+    shape = draws[AMPLITUDE].shape
+    baseline, by_rotation = baseline.reshape(*shape, -1), by_rotation.reshape(*shape, -1)
     log_prior = {n: np.full(baseline.shape[:2], -math.log(b - a)) for n, (a, b) in ranges.items()}
     log_prior[AMPLITUDE] = log_prior_of_amplitude(draws[AMPLITUDE])
     labelled = {"baseline_rpm": baseline, "baseline_term": _baseline_terms(fit)}
     return groups | {
         OF_NOISE["noise_posterior"]: {**draws, **labelled},
-        shared.LOG_LIKELIHOOD: {"recording": log_likelihood(point, draws, baseline)},
+        shared.LOG_LIKELIHOOD: {"recording": by_rotation},
         OF_NOISE["log_prior"]: log_prior,
     }
 

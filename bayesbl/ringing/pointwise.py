@@ -67,7 +67,7 @@ def log_likelihood(
     densities = np.empty((*baseline_rpm.shape[:-1], begins.size))
     for place in np.ndindex(densities.shape[:-1]):
         residual = point.objective.speed_rpm - speed_at(point, draws, baseline_rpm, place)
-        e = _innovations(point, residual[:, None])[:, 0] / scale
+        e = _innovations(point, residual[None])[0] / scale
         log_density = log_normal(e) if freedom is None else log_t(e, freedom)
         densities[place] = np.add.reduceat(known * (log_density - math.log(scale)), begins)
     return densities
@@ -89,10 +89,11 @@ def likelihood_draws(
     log_prior: Callable[[FloatArray], FloatArray],
     count: int,
     generator: np.random.Generator,
-) -> tuple[dict[str, FloatArray], FloatArray] | None:
+) -> tuple[dict[str, FloatArray], FloatArray, FloatArray] | None:
     """Draws of prior times likelihood: free symbols by name, (count,), and baseline, (count, 2k).
 
-    The first proposal is a normal distribution around one Gauss-Newton step from the optimum.
+    Their :func:`log_likelihood`, (count, rotation), comes third. The first proposal is a normal
+    distribution around one Gauss-Newton step from the optimum.
 
     Parameters
     ----------
@@ -106,10 +107,9 @@ def likelihood_draws(
     """
     objective, optimum, names = point.objective, point.optimum, point.spread.names
     columns = jacobian(optimum.model, objective.time_s, optimum.symbols, optimum.baseline_rpm)
-    columns = np.column_stack([columns, np.nan_to_num(point.residual_rpm)])
-    whitened = _innovations(point, columns) / innovation_sd(point.noise)
-    whitened *= _known_innovations(point)[:, None]
-    curvature = whitened[:, :-1].T @ whitened[:, :-1]
+    rows = np.vstack([columns.T, np.nan_to_num(point.residual_rpm)])
+    whitened = _innovations(point, rows) / innovation_sd(point.noise) * _known_innovations(point)
+    curvature = whitened[:-1] @ whitened[:-1].T
     covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
     symbols = [name for name in names if name in SYMBOLS]
     centre = np.r_[[optimum.symbols[name] for name in symbols], optimum.baseline_rpm]
@@ -120,22 +120,30 @@ def likelihood_draws(
     def named(points: FloatArray) -> tuple[dict[str, FloatArray], FloatArray]:
         return dict(zip(symbols, points.T, strict=False)), points[:, len(symbols) :]
 
-    def density(points: FloatArray) -> FloatArray:
-        prior = log_prior(points[:, symbols.index(AMPLITUDE)])
-        return np.asarray(log_likelihood(point, *named(points)).sum(axis=1) + prior)
+    by_rotation = np.empty(0)
 
-    peak = centre + covariance @ (whitened[:, :-1].T @ whitened[:, -1])
+    def density(points: FloatArray) -> FloatArray:
+        nonlocal by_rotation
+        by_rotation = log_likelihood(point, *named(points))
+        prior = log_prior(points[:, symbols.index(AMPLITUDE)])
+        return np.asarray(by_rotation.sum(axis=1) + prior)
+
+    peak = centre + covariance @ (whitened[:-1] @ whitened[-1])
     peak = np.clip(peak, low, high)
     sample = independent_draws(density, peak, covariance, (low, high), count, generator, PROPOSED)
-    return None if sample is None else named(sample[0])
+    if sample is None:
+        return None
+    points, chosen, _ = sample
+    return *named(points[chosen]), by_rotation[chosen]
 
 
-def _innovations(point: PointEstimate, columns: FloatArray) -> FloatArray:
-    """Innovations of columns (n, p), of any value where samples are missing, (n − order, p)."""
+def _innovations(point: PointEstimate, rows: FloatArray) -> FloatArray:
+    """Innovations of rows (p, n), of any value where samples are missing, (p, n − order)."""
     noise, used = point.noise, point.objective.used
     if noise.differentiated:
-        columns = np.cumsum(np.where(used[:, None], columns - columns[used].mean(axis=0), 0.0), 0)
-    return np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
+        means = rows[:, used].mean(axis=1, keepdims=True)
+        rows = np.cumsum(np.where(used, rows - means, 0.0), axis=1)
+    return np.array([innovations(row, noise.coefficients) for row in rows])
 
 
 def _known_innovations(point: PointEstimate) -> FloatArray:

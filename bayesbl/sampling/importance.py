@@ -37,8 +37,8 @@ def independent_draws(
     count: int,
     generator: np.random.Generator,
     proposed: int = PROPOSED,
-) -> tuple[FloatArray, float] | None:
-    """Draws of a density that is nearly normal within a box, and their effective share.
+) -> tuple[FloatArray, NDArray[np.int64], float] | None:
+    """Draws of a density that is nearly normal within a box.
 
     Draws of a normal distribution within the box get Pareto-smoothed weights and are resampled. The
     proposal adapts: a quadratic is fitted to the weighted log density.
@@ -56,7 +56,9 @@ def independent_draws(
 
     Returns
     -------
-    Shape (count, d); ``None`` if no proposal is close enough, as for a density of another shape.
+    The last points that ``target`` was given, (proposed, d); the index among them of each draw,
+    (count,); and their effective share. ``None`` if no proposal is close enough, as for a density
+    of another shape.
     """
     from arviz_stats.base import array_stats
 
@@ -71,7 +73,7 @@ def independent_draws(
         log_weights[finite], tail = array_stats.psislw(-log_weights[finite])
         share = effective_size(log_weights) / proposed
         if tail < LARGEST_TAIL and share > LEAST_SHARE:
-            return points[resampled(log_weights[None], count, generator)[0]], share
+            return points, resampled(log_weights[None], count, generator)[0], share
         try:
             peak, covariance = _quadratic(points, density, np.exp(log_weights - log_weights.max()))
         except np.linalg.LinAlgError:  # no variation left in some direction

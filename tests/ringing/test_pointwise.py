@@ -104,8 +104,8 @@ def test_draws_of_the_likelihood_are_worth_as_many_parameters_as_the_waveform_ha
     )
     point = Estimator().estimate(recording, np.random.SeedSequence(1))
     generator = np.random.default_rng(4)
-    draws, baseline = likelihood_draws(point, np.zeros_like, 1000, generator)
-    by_rotation = log_likelihood(point, draws, baseline)
+    draws, baseline, by_rotation = likelihood_draws(point, np.zeros_like, 1000, generator)
+    assert by_rotation == pytest.approx(log_likelihood(point, draws, baseline), rel=1e-12)
     free = len(point.spread.names)
     # −2 ln L less its least is χ² of so many degrees of freedom: its mean is known to 0.045 √(2f).
     deviance = 2.0 * (by_rotation.sum(axis=1).max() - by_rotation.sum(axis=1))

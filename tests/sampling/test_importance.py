@@ -22,7 +22,8 @@ def test_a_poor_guess_of_a_normal_density_in_a_box_is_mended() -> None:
     generator = np.random.default_rng(5)
     found = independent_draws(density, np.ones(2) * 0.5, np.eye(2) * 4.0, box, DRAWS, generator)
     assert found is not None
-    draws, _ = found
+    points, chosen, _ = found
+    draws = points[chosen]
     assert kstest(draws[:, 0], "norm", args=(1.0, 1.0)).pvalue > FALSE_ALARM
     assert kstest(draws[:, 1], truncnorm(0.0, 3.0).cdf).pvalue > FALSE_ALARM
 
@@ -38,7 +39,8 @@ def test_a_bent_density_has_the_moments_that_integration_gives() -> None:
     generator = np.random.default_rng(6)
     found = independent_draws(density, np.zeros(2), np.diag([1.0, 0.3]), box, DRAWS, generator)
     assert found is not None
-    x, y = found[0].T
+    points, chosen, _ = found
+    x, y = points[chosen].T
     assert abs(x.mean()) < 5.0 / np.sqrt(DRAWS)
     assert abs(y.mean() - 0.1) < 5.0 * y.std() / np.sqrt(DRAWS)
     assert abs(y.var() - (0.25 + 0.02)) < 5.0 * 0.27 * np.sqrt(4.0 / DRAWS)
