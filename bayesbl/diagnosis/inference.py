@@ -178,6 +178,8 @@ class Candidate:
         cosine.
     usual
         Usual share in the root mean square of the compared signal.
+    largest
+        Largest size that any joint has, in the parameter's unit.
     not_negative
         Whether the amplitude cannot be negative.
     own_phase
@@ -199,6 +201,7 @@ class Candidate:
     requires: frozenset[str] = frozenset()
     same_as: tuple[str, ...] = ()
     probability: float | None = None
+    largest: float = math.inf
 
     @property
     def shapes(self) -> Mapping[str, float]:
@@ -210,6 +213,7 @@ def candidate_of(
     law: RigidLaw, name: str, parameters: tuple[str, ...], looks: tuple[Look, ...], **other: Any
 ) -> Candidate:
     """Candidate for an effect, from its law; ``other``: fields with other values."""
+    amplitude = effect_named(name).parameter(law.amplitude)
     by_law = Candidate(
         name,
         "effect",
@@ -217,10 +221,12 @@ def candidate_of(
         parameters,
         looks,
         law.usual,
-        effect_named(name).parameter(law.amplitude).not_negative,
+        amplitude.not_negative,
         excludes=frozenset({law.contains} if law.contains else ()),
         requires=frozenset({law.requires} if law.requires else ()),
         same_as=law.same_as,
+        # The range of a pure number is that of every joint.
+        largest=math.inf if amplitude.unit else amplitude.high,
     )
     return replace(by_law, **other)
 
@@ -466,6 +472,15 @@ class View(ABC):
         """Whether a named candidate says something about the joint."""
         return True
 
+    @property
+    def silent(self) -> Sequence[str]:
+        """Candidates that are fitted even if they are not reportable."""
+        return ()
+
+    def rivals(self, errors: Sequence[ParameterError]) -> tuple[str, ...]:
+        """What may be wrong instead of all these parameters."""
+        return ()
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
@@ -532,6 +547,7 @@ class Inference:
                 if not size.any():
                     continue
                 usual = candidate.usual * self._level / np.where(size > 0.0, size, 1.0)
+                usual = np.minimum(usual, candidate.largest)
                 unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
                 yield Term(
                     candidate.label,
@@ -838,6 +854,13 @@ def inferred(
     return view, inference
 
 
+SCALED = (
+    "Instead of a wrong value of the bench, all recorded torques may be off by one factor: their "
+    "unit, the torque constant, or a peak instead of an effective current. Then all torques found "
+    "are off by it too. A known load tells them apart."
+)
+
+
 def diagnose(
     view: View,
     bench: Bench,
@@ -856,6 +879,7 @@ def diagnose(
     view, inference = inferred(view.prepared(), progress)
     named, remaining = _named(view, inference, most)
     group = _learned_group(inference)
+    silent = {label for label, _ in named if not view.reportable(inference, label)}
     view, at = view.settled([label for label, _ in named]), inference
     if view.model is not inference.model:
         at = Inference(view.model, inference.noises)
@@ -889,9 +913,11 @@ def diagnose(
     effects = [
         _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
         for label, alike in named
-        if kinds[label] == "effect"
+        if kinds[label] == "effect" and label not in silent
     ]
     errors = tuple(parameter_errors(bench, estimates))
+    rivals = view.rivals(errors)
+    errors = tuple(replace(error, indistinguishable_from=rivals) for error in errors)
     lines = tuple(_line(inference, *item) for item in remaining)
     over_noise = disagreement["after"] / max(
         disagreement["noise_floor"], ROUNDING * disagreement["before"], _TINY
@@ -909,7 +935,7 @@ def diagnose(
         errors,
         lines,
         pieces,
-        (*denied, *notes, *_gravity_notes(inference)),
+        (*denied, *([SCALED] if rivals else []), *notes, *_gravity_notes(inference)),
         bench_parameters=estimates,
         learned=learned,
     )
@@ -946,7 +972,7 @@ def _named(
             remaining.append((ripple[0], "angle or time") if ripple else (in_time[0], "time"))
         elif ripple and len(ripple) == len(members):
             waves.append(ripple[0])
-        elif all(view.reportable(inference, m) for m in members):
+        elif all(m in view.silent or view.reportable(inference, m) for m in members):
             first, *others = members
             names = dict.fromkeys(labels[m].name for m in (*others, *inference.lookalikes(first)))
             named.append((first, tuple(n for n in names if n != labels[first].name)))

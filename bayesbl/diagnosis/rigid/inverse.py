@@ -31,9 +31,10 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned import Variable, variable_of
 from bayesbl.config.kinds import DiagnoseConfig
-from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.diagnosis import Diagnosis, ParameterError
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.inference import (
+    SURE_PARAMETER,
     AffineModel,
     Candidate,
     Discrepancy,
@@ -707,6 +708,33 @@ class InverseView(View):
         grid = self._grid(label) if label in self.laws else ()
         scanned = self.laws[label].scanned if grid else None
         return scanned is None or grid[0] < inference.values(label)[scanned].value < grid[-1]
+
+    silent = (SKEW,)
+
+    def rivals(self, errors: Sequence[ParameterError]) -> tuple[str, ...]:
+        """The scale of the recorded torque, if it would explain all that the bench states."""
+        total = sum(self._at_motor(name) * self.bench.value(name) for name in INERTIAS)
+        factors = {
+            e.name: (1.0 + scale * (e.fitted.value - e.believed), scale * e.fitted.sd)
+            for e in errors
+            for scale in [
+                self._at_motor(e.name) / total if e.name in INERTIAS else 1.0 / e.believed
+            ]
+        }
+        inertia = next((f for name, f in factors.items() if name in INERTIAS), None)
+        if inertia is None:
+            return ()
+        if self.load_angle_known and self.bench.value(GRAVITY) > 0.0:
+            gravity = factors.get(GRAVITY, (1.0, 0.0))
+            sd = math.hypot(inertia[1], gravity[1])
+            if abs(inertia[0] - gravity[0]) > SURE_PARAMETER * sd:
+                return ()
+        current = self.rows.pieces[0].channel == MOTOR_CURRENT
+        return (TORQUE_CONSTANT if current else MOTOR_TORQUE,)
+
+    def _at_motor(self, inertia: str) -> float:
+        """An inertia at the motor over itself."""
+        return 1.0 if inertia == INERTIAS[0] else self.bench.value("gear_ratio") ** -2
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
