@@ -729,10 +729,7 @@ def with_far_terms_freed(
 
 
 def other_loops(linear_fit: LinearisedFit) -> list[SimulatedFit]:
-    """Fits with the other loops that may be the joint's, and everything freed after them.
-
-    The recordings often cannot tell which loop is the right one, and each gives its own gap.
-    """
+    """Fits with the other loops that may be the joint's, and everything freed after them."""
     fit, fits = linear_fit.fit, []
     for chosen, rival in linear_fit.loops:
         chosen_size = chosen.point.size

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -327,9 +327,7 @@ class SetSearch:
     @property
     def sets(self) -> tuple[tuple[FittedSet, float], ...]:
         """All fitted sets, each with its probability, the most probable first."""
-        fitted = sorted(self._sets.values(), key=lambda entry: -entry.log_evidence)
-        weights = np.exp([entry.log_evidence - fitted[0].log_evidence for entry in fitted])
-        return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+        return with_probabilities(self._sets.values())
 
     def answer(self) -> Naming:
         """Name hypotheses by the threshold on their probability."""
@@ -570,6 +568,13 @@ class SetSearch:
         )
 
 
+def with_probabilities(sets: Iterable[FittedSet]) -> tuple[tuple[FittedSet, float], ...]:
+    """Fitted sets, each with its probability, the most probable first."""
+    fitted = sorted(sets, key=lambda entry: -entry.log_evidence)
+    weights = np.exp([entry.log_evidence - fitted[0].log_evidence for entry in fitted])
+    return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+
+
 def weighed(
     explanation: Explanation,
     nuisances: Sequence[Direction] = (),
@@ -583,9 +588,10 @@ def weighed(
     view = linearised(explanation, (), nuisances, noise)
     posterior = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
-    # Laplace volume of the added unknowns; the posterior has that of all others.
-    k = sum(len(c.unknowns) for c in explanation.candidates)
-    evidence = posterior.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
+    evidence = posterior.log_evidence + explanation.log_prior
+    # The prior of a candidate's unknowns replaces the normal one that the view has for them.
+    unknowns = (u for c in explanation.candidates for u in c.unknowns)
+    evidence += sum(math.log(math.sqrt(2.0 * math.pi) * u.prior_sd) for u in unknowns)
     return FittedSet(explanation, evidence, posterior, np.array(beyond))
 
 

@@ -30,7 +30,14 @@ from bayesbl.model_search.always_in import (
     Direction,
 )
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
-from bayesbl.model_search.closed_loop import FittedSet, Naming, SetSearch, name_missing
+from bayesbl.model_search.closed_loop import (
+    FittedSet,
+    Naming,
+    SetSearch,
+    name_missing,
+    weighed,
+    with_probabilities,
+)
 from bayesbl.model_search.refit import Explanation, columns_of
 from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
@@ -166,19 +173,29 @@ class JointFindings:
         return {c.recording for c in self.changed if c.slot == slot} >= set(self.recordings)
 
 
-def elastic_parts(
-    fit: SimulatedFit, nuisances: Sequence[Direction]
+def loops_and_parts(
+    fit: SimulatedFit, loops: Sequence[SimulatedFit], nuisances: Sequence[Direction]
 ) -> tuple[tuple[FittedSet, float], ...]:
-    """Fit the joint without and with an elastic belt, arm or base; the most probable model first.
+    """Fit the joint as it is, with other loops, and with an elastic part; the most probable first.
 
-    Such a part is far from linear in its compliance. The tolerances of a bench absorb most of its
-    effect, and δ is then wrong by much more than its interval. So each part is tried even if
-    nothing else indicates it, and δ is averaged over all models.
+    The recordings often cannot tell which loop is the right one, and each gives its own gap. An
+    elastic belt, arm or base is far from linear in its compliance. The tolerances of a bench absorb
+    most of its effect, and δ is then wrong by much more than its interval. So each part is tried
+    even if nothing else indicates it, and δ is averaged over all models. Empty for motions, in
+    which no part is sought, if no other loop fits as well.
     """
     bench, recordings = fit.model.bench, fit.model.recordings
     names = [e.name for e in EFFECTS if e.resonance is not None]
     parts = [c for c in candidates(bench, recordings, names) if c.name in names]
-    return SetSearch(Explanation((), fit), lambda _: parts, 1, nuisances).sets
+    if all(observation.motion is None for observation in recordings):
+        found = SetSearch(Explanation((), fit), lambda _: parts, 1, nuisances).sets
+        sets = [entry for entry, _ in found]
+    elif loops:
+        sets = [weighed(Explanation((), fit), nuisances)]
+    else:
+        return ()
+    sets += [weighed(Explanation((), loop), nuisances) for loop in loops]
+    return with_probabilities(sets)
 
 
 def with_part(

@@ -34,7 +34,7 @@ from bayesbl.model_search.always_in import (
     with_neutral,
 )
 from bayesbl.model_search.closed_loop import weighed
-from bayesbl.model_search.joint_change import elastic_parts, with_part
+from bayesbl.model_search.joint_change import loops_and_parts, with_part
 from bayesbl.model_search.pipeline import JointFit, direct_unknowns, fit_jointly
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
@@ -482,7 +482,7 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     )
     unknowns = direct_unknowns(sheet, ["one"], (1e-4, 1e-2))
     nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
-    (best, probability), *_ = elastic_parts(nominal, directions(BENCH, {}))
+    (best, probability), *_ = loops_and_parts(nominal, (), directions(BENCH, {}))
     fit, _, part = with_part(nominal, best.explanation, probability)
     assert part.name == "belt"
     assert part.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
@@ -508,7 +508,7 @@ def test_what_stands_beside_a_fit_leaves_its_derivatives_as_they_are() -> None:
 
 
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
-    (best, _), *_ = elastic_parts(pair(BENCH), directions(BENCH, {}))
+    (best, _), *_ = loops_and_parts(pair(BENCH), (), directions(BENCH, {}))
     assert not best.explanation.candidates
 
 
