@@ -395,8 +395,6 @@ class LinearisedFit:
         Draws of the sizes, shape (n, columns of all terms).
     residual
         Residual with all terms at their posterior mean, shape (N,).
-    lag_s
-        Total delay of the loop in the fit itself.
     loops
         Pairs of rough fits, made when the loop was chosen: with the chosen loop, and with another
         that fits about as well (:func:`other_loops`).
@@ -407,7 +405,6 @@ class LinearisedFit:
     posterior: ModelPosterior
     sizes: FloatArray
     residual: FloatArray
-    lag_s: float = 0.0
     loops: tuple[tuple[SimulatedFit, SimulatedFit], ...] = ()
 
     def far_terms(self) -> list[tuple[Label, FloatArray]]:
@@ -457,7 +454,7 @@ class LinearisedFit:
         too. Only the sum of all lags counts, including those in the fit: one part of a loop
         compensates the delay of another.
         """
-        sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), self.lag_s)}
+        sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), _lag_s(self.fit))}
         tolerances: dict[str, float] = {}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             if label.recording is None and label.directions[0].is_law:
@@ -549,9 +546,7 @@ def linearised_fit(fit: SimulatedFit, nuisances: Sequence[Direction]) -> Lineari
             residuals, jacobians, acting, columns, strict=True
         )
     ]
-    return LinearisedFit(
-        fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts), _lag_s(fit)
-    )
+    return LinearisedFit(fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts))
 
 
 def _lag_s(fit: SimulatedFit) -> float:

@@ -40,7 +40,6 @@ from bayesbl.model_search.always_in import (
     Direction,
     LinearisedFit,
     directions,
-    linearised_fit,
     marginalised,
     other_loops,
     with_far_terms_freed,
@@ -200,15 +199,12 @@ def fit_jointly(
             linear_fit=linear_fit, others=others, joint=changes_at_fit(linear_fit.fit, nuisances)
         )
     seeking = of_stage(progress, f"Seeking changes in {name}")
-    naming, joint = find_changes(linear_fit.fit, nuisances=nuisances, progress=seeking)
-    linear_fit = naming.linear_fit or linearised_fit(naming.final.fit, nuisances)
+    naming, linear_fit, joint = find_changes(linear_fit.fit, nuisances, seeking)
     if not linear_fit.has_discrepancy:
         # Lags in place of what is now named may no longer be needed.
-        unlagged, count = (
-            with_far_terms_freed(linear_fit.fit, nuisances, allowing),
-            len(linear_fit.fit.model.unknowns),
-        )
-        if all(u.recording is None for u in unlagged.fit.model.unknowns[count:]):
+        unlagged = with_far_terms_freed(linear_fit.fit, nuisances, allowing)
+        freed = unlagged.fit.model.unknowns[len(linear_fit.fit.model.unknowns) :]
+        if all(u.recording is None for u in freed):
             linear_fit = unlagged
     # Sets that explain too little to be named know less about the misfit than the bench does.
     return JointFit(

@@ -507,6 +507,13 @@ def test_what_stands_beside_a_fit_leaves_its_derivatives_as_they_are() -> None:
     assert np.array_equal(fit.derivatives(), before)
 
 
+def test_a_set_explains_what_its_marginalised_terms_explain() -> None:
+    """Drifted damping repeats in the residual, and the drift that is marginalised explains it."""
+    fit, among = pair(scaled(**{DAMPING: 0.6})), directions(BENCH, {})
+    assert not weighed(Explanation((), fit)).explains_all
+    assert weighed(Explanation((), fit), among).explains_all
+
+
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
     (best, _), *_ = loops_and_parts(pair(BENCH), (), directions(BENCH, {}))
     assert not best.explanation.candidates
