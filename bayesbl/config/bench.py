@@ -295,10 +295,14 @@ class _Spring(Section):
         if whole is not None:
             own = _divided(inertia, EffectValue(value=values[whole]))
         stiffness, damping = self.stiffness_nm_per_rad, self.damping_nm_s_per_rad
-        k, sd = stiffness.value, damping.parameter().sd
-        time = EffectParameterValue(damping.value / k, None if sd is None else sd / k)
+        oscillating = inertia.value
+        if whole is not None:
+            # A share of one or more is refused with the other values out of range.
+            oscillating *= max(1.0 - own.value, 1e-3)
+        critical, sd = 2.0 * math.sqrt(stiffness.value * oscillating), damping.parameter().sd
+        ratio = EffectParameterValue(damping.value / critical, sd and sd / critical)
         compliance = _divided(EffectValue(value=1.0), stiffness)
-        spring = {"compliance_rad_per_nm": compliance, "damping_time_s": time}
+        spring = {"compliance_rad_per_nm": compliance, "damping_ratio": ratio}
         return BenchEffect(name, {**spring, parameter: own})
 
 
