@@ -20,7 +20,7 @@ from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable, waves_ov
 from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.prediction import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer
-from bayesbl.errors import SimulationError
+from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
@@ -145,7 +145,7 @@ def learned_term(
         ]
         odds = math.log(EXPECTED_HYPOTHESES / max(1, len(possible)))
         for series, sizes in _promised(near.with_derivatives(), possible):
-            with suppress(SimulationError):
+            with suppress(BenchError):
                 extended = _fitted(base, series, sizes)
                 gain = weighed(extended, noise=noise).log_evidence - without
                 fitted.append((gain + odds, Learned(extended, series.nothing.block, ())))
