@@ -395,8 +395,8 @@ class EffectEntry(Section):
 
     A digital drive has ``sampled_control``, with the period of its speed controller:
     ``parameters = {period_s = {value = 250e-6}}``. Its torque acts ``delay_periods`` after it reads
-    the encoder: 1, or 17 with a further dead time of 4 ms. It takes the speed as the encoder's
-    difference over a period, or with ``instant_share = 1`` as the speed at the tick. If you state
+    the encoder: 1, or 17 with a further dead time of 4 ms. It uses the encoder's difference over a
+    period as speed, or with ``instant_share = 1`` the speed at the sampling instant. If you state
     no delay, the direct route and ``identify`` fit both, starting from 1 and a difference.
     """
 
