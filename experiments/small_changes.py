@@ -38,7 +38,7 @@ from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.predictive_check import agrees
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
-from bayesbl.model_search.always_in import directions, linearised_fit, with_far_terms_freed
+from bayesbl.model_search.always_in import directions, with_far_terms_freed
 from bayesbl.model_search.joint_change import find_changes
 from bayesbl.model_search.pipeline import direct_unknowns
 from bayesbl.probabilities import ends, normal_isf
@@ -160,8 +160,7 @@ def _answered(
     rest = with_far_terms_freed(nominal, among)
     withheld, told = False, any(u.added for u in rest.fit.model.unknowns)
     if not agrees(rest.check):
-        naming, joint_findings = find_changes(rest.fit, nuisances=among)
-        rest = naming.linear_fit or linearised_fit(naming.final.fit, among)
+        _, rest, joint_findings = find_changes(rest.fit, among)
         told = bool(joint_findings.changed)
         withheld = not (joint_findings.explained or rest.is_useful)
     fit = rest.fit

@@ -926,6 +926,14 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
 
 
 @_jit
+def tick_each(states, p):  # type: ignore[no-untyped-def]
+    """Replace each of some states, (m, n), by that after a tick."""
+    c = constants(p, 0.0, math.inf)
+    for state in states:
+        tick(0.0, state, p, c)
+
+
+@_jit
 def contact_matrix(p, a):  # type: ignore[no-untyped-def]
     """Fill the columns of ``a``, (n, n), with the time derivative of each unit state on one flank.
 

@@ -58,8 +58,7 @@ _PARTS = {
 """Parts that a bench lacks if the parameter is zero, and their states."""
 
 _SPRINGS = [*_PARTS][2:]
-UNTIL, ACTING, COMING, SEEN = range(kernel.HELD_TORQUE, kernel.HELD_TORQUE + 4)
-TICKING = kernel.HELD_TORQUE + 4
+_NOT_LINEAR = [Slot.encoder_eccentricity__angle_rad, Slot.encoder_error__orders]
 
 
 def contact_matrices(matrix: FloatArray) -> FloatArray:
@@ -102,10 +101,8 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
 def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     """One period of the linear bench in contact under a sampled controller.
 
-    For one parameter vector, shape (SLOTS,). The states are those at a tick, after the controller's
-    work: those of :func:`contact_matrices` with the angle since the last tick; the angle until
-    then; the torque that acts; the one computed last; the speed that the controller saw; and, for a
-    delay above one period, the w older torques that do not act yet, the newest first.
+    For one parameter vector, shape (SLOTS,). The states are those of the kernel after a tick, with
+    the motor's angle since that tick.
 
     Returns
     -------
@@ -114,18 +111,12 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     period = parameters[Slot.sampled_control__period_s]
     delay = parameters[Slot.sampled_control__delay_periods]
-    gain = parameters[Slot.speed_gain_nm_s_per_rad]
-    integral = parameters[Slot.integral_gain_nm_per_rad]
-    outer = parameters[Slot.position_gain_per_s]
-    speed_lag = parameters[Slot.speed_sensor_lag__time_s]
-
     free = parameters.copy()
     free[Slot.position_gain_per_s] = 1.0  # keeps the angle among the states
     waiting = waiting_torques(parameters)
-    states = TICKING + waiting
-    oldest = states - 1 if waiting else COMING
+    states = kernel.STATES + waiting
     delay_fraction = delay - waiting
-    plant = np.zeros((TICKING, TICKING))
+    plant = np.zeros((kernel.STATES, kernel.STATES))
     moving = contact_matrices(free[None, :])[0]
     plant[: len(moving), : len(moving)] = moving
     absent = np.arange(len(moving), kernel.HELD_TORQUE)
@@ -133,38 +124,35 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     plant[kernel.DRIVE_TORQUE] = 0.0
     plant[:, kernel.INTEGRAL] = plant[kernel.INTEGRAL, :] = 0.0
     torque_lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
-    plant[kernel.DRIVE_TORQUE, [kernel.DRIVE_TORQUE, ACTING]] = -1.0 / torque_lag, 1.0 / torque_lag
+    torques = [kernel.DRIVE_TORQUE, kernel.HELD_TORQUE]
+    plant[kernel.DRIVE_TORQUE, torques] = -1.0 / torque_lag, 1.0 / torque_lag
     apply = np.eye(states)
-    apply[ACTING] = apply[oldest]
+    apply[kernel.HELD_TORQUE] = apply[states - 1 if waiting else kernel.NEXT_TORQUE]
     before, after = np.eye(states), np.eye(states)
-    ticking = np.s_[:TICKING, :TICKING]
-    before[ticking] = linalg.expm(plant * delay_fraction * period)
-    after[ticking] = linalg.expm(plant * (1.0 - delay_fraction) * period)
-    motion = after @ apply @ before
+    moves = np.s_[: kernel.STATES, : kernel.STATES]
+    before[moves] = linalg.expm(plant * delay_fraction * period)
+    after[moves] = linalg.expm(plant * (1.0 - delay_fraction) * period)
 
-    advance = np.zeros(states)
-    advance[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST]], advance[kernel.SENSED_SPEED] = 1.0, -speed_lag
-    instant = parameters[Slot.sampled_control__instant_share]
-    direct = np.zeros(states)
-    direct[kernel.SENSED_SPEED if speed_lag > 0.0 else [kernel.MOTOR_SPEED, kernel.BELT_SPEED]] = (
-        1.0
-    )
-    sensed_speed = (1.0 - instant) * advance / period + instant * direct
-    error = -sensed_speed
-    error[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST, UNTIL]] -= outer
-    update = np.eye(states)
-    update[TICKING:] = np.eye(states)[[COMING, *range(TICKING, states)][:waiting]]
-    update[kernel.MOTOR_ANGLE] -= advance
-    update[UNTIL] = update[UNTIL] + advance if outer > 0.0 else 0.0
-    update[SEEN] = sensed_speed
-    update[kernel.INTEGRAL] = update[kernel.INTEGRAL] + period * error if integral > 0.0 else 0.0
-    update[COMING] = gain * error + integral * update[kernel.INTEGRAL]
-    noise = np.zeros(states)
-    noise[kernel.INTEGRAL] = -period if integral > 0.0 else 0.0
-    noise[COMING] = -gain + integral * noise[kernel.INTEGRAL]
+    # The controller alone, after each unit state and after rest, with a reference of 1 rad/s.
+    controller = parameters.copy()
+    controller[_NOT_LINEAR] = 0.0
+    controller[Slot.current_limit_a], controller[Slot.reference_speed_rpm] = math.inf, RPM
+    ticked = np.eye(states + 1, states)
+    kernel.tick_each(ticked, controller)
+    # A motor that has turned freely is in no other state, so its angle begins at each tick.
+    since = np.eye(states)
+    since[kernel.MOTOR_ANGLE, kernel.TICK_ANGLE] = -1.0
+    update, noise = since @ (ticked[:-1] - ticked[-1]).T @ np.linalg.inv(since), -ticked[-1]
+    for gain, state in (
+        (Slot.position_gain_per_s, kernel.TICK_ANGLE),
+        (Slot.integral_gain_nm_per_rad, kernel.INTEGRAL),
+    ):
+        if parameters[gain] <= 0.0:
+            update[state] = noise[state] = 0.0
     if delay <= 0.0:
-        update[ACTING], noise[ACTING] = update[COMING], noise[COMING]
-    return update @ motion, noise
+        for states_after in (update, noise):
+            states_after[kernel.HELD_TORQUE] = states_after[kernel.NEXT_TORQUE]
+    return update @ after @ apply @ before, noise
 
 
 def contact_rates(matrix: FloatArray) -> ComplexArray:
@@ -174,7 +162,7 @@ def contact_rates(matrix: FloatArray) -> ComplexArray:
     have decay at once.
     """
     waiting = max((waiting_torques(row) for row in matrix), default=0)
-    rates = np.full((matrix.shape[0], TICKING + waiting), complex(_ABSENT))
+    rates = np.full((matrix.shape[0], kernel.STATES + waiting), complex(_ABSENT))
     systems = contact_matrices(matrix)
     rates[:, : systems.shape[1]] = np.linalg.eigvals(systems)
     for row in np.flatnonzero(matrix[:, Slot.sampled_control__period_s] > 0.0):
@@ -300,12 +288,12 @@ def _noise_through_ticks(
         torque[kernel.DRIVE_TORQUE] = 1.0
     else:
         # The logged torque is the mean until the next tick (kernel.logged_torque).
-        torque[ACTING] = delay - waiting
-        torque[-1 if waiting else COMING] = 1.0 - torque[ACTING]
+        torque[kernel.HELD_TORQUE] = delay - waiting
+        torque[-1 if waiting else kernel.NEXT_TORQUE] = 1.0 - torque[kernel.HELD_TORQUE]
     logged = np.empty((source.size, 2))
     for k, value in enumerate(noise_rpm[source] / RPM):
         state = transition @ state + by_noise * value
-        logged[k] = state[SEEN], torque @ state
+        logged[k] = state[kernel.TICK_SPEED], torque @ state
     motion, response = logged[last].T
     return motion * RPM, response / parameters[Slot.torque_constant_nm_per_a]
 

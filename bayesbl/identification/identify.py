@@ -30,7 +30,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.bench.steady import contact_rates
 from bayesbl.diagnosis.closed_loop.prediction import augmented_bench
-from bayesbl.errors import SimulationError
+from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import (
     aligned_starts,
     fit_aligned,
@@ -361,7 +361,7 @@ def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Matc
     rough: list[Explanation] = []
     for excess, point, candidate in best.values():
         if excess < limit:
-            with suppress(SimulationError):
+            with suppress(BenchError):
                 fit = fit_simulated(extended(model, candidate), point, rough=True)
                 rough.append(Explanation((candidate,), fit))
     rough.sort(key=lambda e: e.fit.chi_square)

@@ -254,6 +254,7 @@ class AmplitudeMeasurer(CurveMeasurer):
             [fit.point for fit in fits],
             [entry.repaired for entry in entries],
             [tuple(sorted(entry.bench.items())) for entry in entries],
+            curve_or_none,
         )
         seeds = task.seeds.predictive.spawn(len(fits))
         parts = zip(task.recordings, fits, gap_or_none, curve_or_none, seeds, strict=True)

@@ -3,7 +3,9 @@
 Compared are quantities that the gap changes little or not at all: the controller's gains, the mean
 current, the first two load orders of current and speed, the frequency and decay of the ringing. The
 difference of each is reduced by the largest effect of a changed gap before it is compared with its
-standard error. Without a current, only the colour of the noise shows a changed filter of the speed.
+standard error. For the ringing, this effect is that of the user's own bench, by its curve; without
+a bench, the largest over benches around the reference. Without a current, only the colour of the
+noise shows a changed filter of the speed.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.compatibility import SNAPSHOTS_APART
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
@@ -39,7 +42,7 @@ from bayesbl.measurement.noise_colour import (
     noise_spectrum,
 )
 from bayesbl.probabilities import FALSE_ALARM, normal_isf
-from bayesbl.recording.types import MOTOR_CURRENT
+from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.ringing.cleaning import MotorLine
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
 
@@ -58,7 +61,7 @@ HARMLESS_SD = 0.5
 
 BY_AMPLITUDE = {FREQUENCY: 0.1, DECAY: 0.5}
 """Largest ∂ln quantity/∂ln A along the gap, over benches within a factor of 1.6 of the reference
-and gaps of 0.3 to 3 mrad (0.09 and 0.47, ``experiments/joint_features.py``)."""
+and gaps of 0.3 to 3 mrad (0.09 and 0.47, ``experiments/joint_features.py``). Without a bench."""
 
 BY_GAP = {"current": 0.0025, "speed": 0.005}
 """Change of a load order, or of the mean, by 2.7 mrad more gap, as a share of the first order: the
@@ -76,7 +79,8 @@ SAME_RATE = 0.01
 """Relative difference up to which two sampling rates show the same noise."""
 
 START_ANGLE_SD = {FREQUENCY: 0.0015, DECAY: 0.002}
-"""Scatter of ln quantity with the start angle on the reference bench (same command)."""
+"""Scatter of ln quantity with the start angle on the reference bench (same command), without a
+bench."""
 
 COULD_BE = {
     PROPORTIONAL: ("speed_gain_nm_s_per_rad", "torque_constant_nm_per_a", "speed_averaging"),
@@ -116,16 +120,28 @@ class _Snapshot:
     period_s: float
     noise: NoiseSpectrum | None
     lines: Mapping[int, MotorLine]
+    by_bench: Mapping[str, FloatArray]
+    """ln of each quantity of the ringing at the amplitude, by draws of the bench, (m,)."""
 
     @classmethod
-    def of(cls, point: PointEstimate) -> _Snapshot:
+    def of(cls, point: PointEstimate, curve: GapCurve | None) -> _Snapshot:
         centre, covariance = point.ringing
+        by_bench: dict[str, FloatArray] = {}
+        by_start_angle = START_ANGLE_SD
+        if curve is not None and curve.ringing is not None:
+            expected, scatter, _ = curve.ringing_at(centre[0])
+            tables = curve.ringing.frequency_draws, curve.ringing.decay_draws
+            for name, log, draws in zip(BY_AMPLITUDE, expected, tables, strict=True):
+                rows = np.arange(len(draws))
+                by_bench[name] = log + curve.at_rows(draws, rows, np.full(len(draws), centre[0]))
+            sds = np.sqrt(np.diag(scatter)[1:]).tolist()
+            by_start_angle = dict(zip(BY_AMPLITUDE, sds, strict=True))
         features = {feature.name: feature for feature in features_of(point)}
         for index, (name, unit, scale) in enumerate(RINGING, start=1):
             sd = math.sqrt(covariance[index, index])
             if sd > 0.0:  # a fixed symbol was not measured
                 value = math.exp(centre[index]) / scale
-                sd = math.hypot(sd, START_ANGLE_SD[name])
+                sd = math.hypot(sd, by_start_angle[name])
                 features[name] = Feature(name, unit, value, value * sd)
         recording = point.recording
         return cls(
@@ -138,6 +154,7 @@ class _Snapshot:
             recording.sampling_period_s,
             noise_spectrum(point),
             {line.order: line for line in point.lines},
+            by_bench,
         )
 
 
@@ -145,6 +162,7 @@ def same_joint(
     points: Sequence[PointEstimate],
     repaired: Sequence[bool],
     stated: Sequence[Hashable] | None = None,
+    curves: Sequence[GapCurve | None] | None = None,
 ) -> JointCheck:
     """Compare every snapshot with the first comparable one since the last repair.
 
@@ -154,15 +172,18 @@ def same_joint(
         Whether each snapshot is the first one after a repair.
     stated
         What the user states of each snapshot; only snapshots with equal statements are compared.
+    curves
+        Curve of each snapshot, for its speed and sampling rate.
     """
     if len(points) < 2:
         return joint_check()
     pairs: list[_Pair] = []
     first: dict[Hashable, _Snapshot] = {}
-    for point, after_repair, statement in zip(
-        points, repaired, stated or [None] * len(points), strict=True
+    nothing = [None] * len(points)
+    for point, after_repair, statement, curve in zip(
+        points, repaired, stated or nothing, curves or nothing, strict=True
     ):
-        snapshot = _Snapshot.of(point)
+        snapshot = _Snapshot.of(point, curve)
         if after_repair:
             first.clear()
         if statement in first:
@@ -234,8 +255,8 @@ class _Pair:
             # If the direction changed, so did the sign of a constant torque.
             if after is None or (name == MEAN_CURRENT and reversed_direction):
                 continue
-            difference, lateness = after.value - before.value, self.by_lateness(name)
-            difference -= min(max(difference, min(lateness, 0.0)), max(lateness, 0.0))
+            difference, possible = after.value - before.value, self.possible(name)
+            difference -= min(max(difference, min(possible, 0.0)), max(possible, 0.0))
             beyond = max(abs(difference) - self.explained(name), 0.0)
             z = math.copysign(beyond, difference) / self.sd(name)
             items.append(check_item(name, after.value, before.value, before.unit, z))
@@ -290,13 +311,29 @@ class _Pair:
             yield item, {"code": "line_changed", **values} if is_changed else None
 
     def sd(self, name: str) -> float:
-        """Standard deviation of a feature's change."""
-        return math.hypot(*(s.features[name].standard_error for s in (self.first, self.other)))
+        """Standard deviation of a feature's change beyond the possible one."""
+        errors = [s.features[name].standard_error for s in (self.first, self.other)]
+        by_tolerances = self.first.features[name].value * float(self.by_bench(name).std())
+        return math.hypot(*errors, by_tolerances)
+
+    def by_bench(self, name: str) -> FloatArray:
+        """Change of ln quantity by gap, speed and sampling, by draws of the bench, (m,)."""
+        if not self.has_bench(name):
+            return np.zeros(1)
+        logs = [s.by_bench[name] for s in (self.first, self.other)]
+        count = min(map(len, logs))
+        return np.asarray(logs[1][:count] - logs[0][:count])
+
+    def has_bench(self, name: str) -> bool:
+        """Whether the bench tells how the gap changes a quantity."""
+        return name in self.first.by_bench and name in self.other.by_bench
 
     def explained(self, name: str) -> float:
         """Largest change of a feature by gap, speed and sampling."""
         first, other = self.first, self.other
         value = first.features[name].value
+        if self.has_bench(name):
+            return 0.0
         by_speed = BY_SPEED * abs(value * (other.log_speed - first.log_speed))
         if name in BY_AMPLITUDE:
             angular_frequency = 2.0 * math.pi * first.features[FREQUENCY].value
@@ -308,11 +345,14 @@ class _Pair:
         channel = "speed" if name.startswith("speed") else "current"
         return by_speed + BY_GAP[channel] * first.features[harmonic_name(channel, 1)].value
 
-    def by_lateness(self, name: str) -> float:
-        """Change of K_p if the speed is a mean over the sampling period, which it may be.
+    def possible(self, name: str) -> float:
+        """Change that may be there or not: of the ringing if the gap changed, or of K_p.
 
-        A mean over T is late by T/2, so K_p + K_i/jω appears larger by K_i T/2.
+        If the speed is a mean over the sampling period T, it is late by T/2, so K_p + K_i/jω
+        appears larger by K_i T/2.
         """
+        if self.has_bench(name):
+            return self.first.features[name].value * float(np.expm1(self.by_bench(name).mean()))
         if name != PROPORTIONAL:
             return 0.0
         longer_period_s = self.other.period_s - self.first.period_s
@@ -329,7 +369,7 @@ def _too_small(pairs: Sequence[_Pair], bound: float) -> Iterator[dict[str, Any]]
     for name in SHOWN_BEST:
         detectable = [
             (
-                bound * pair.sd(name) + pair.explained(name) + abs(pair.by_lateness(name)),
+                bound * pair.sd(name) + pair.explained(name) + abs(pair.possible(name)),
                 pair.first.features[name].value,
             )
             for pair in pairs

@@ -45,7 +45,7 @@ from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreeme
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Term, search
-from bayesbl.model_search.refit import slopes
+from bayesbl.model_search.refit import SHARES_TRIED, fitted_from, slopes
 from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
@@ -131,7 +131,6 @@ MOST_ROUNDS = 6
 """Largest number of laws freed in turn. It only limits time: the check decides on any that are
 still far."""
 
-MOST_HALVES = 4
 MOST_TRIES = 20
 SIZES_DRAWN = 1000
 
@@ -395,8 +394,6 @@ class LinearisedFit:
         Draws of the sizes, shape (n, columns of all terms).
     residual
         Residual with all terms at their posterior mean, shape (N,).
-    lag_s
-        Total delay of the loop in the fit itself.
     loops
         Pairs of rough fits, made when the loop was chosen: with the chosen loop, and with another
         that fits about as well (:func:`other_loops`).
@@ -407,7 +404,6 @@ class LinearisedFit:
     posterior: ModelPosterior
     sizes: FloatArray
     residual: FloatArray
-    lag_s: float = 0.0
     loops: tuple[tuple[SimulatedFit, SimulatedFit], ...] = ()
 
     def far_terms(self) -> list[tuple[Label, FloatArray]]:
@@ -457,7 +453,7 @@ class LinearisedFit:
         too. Only the sum of all lags counts, including those in the fit: one part of a loop
         compensates the delay of another.
         """
-        sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), self.lag_s)}
+        sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), _lag_s(self.fit))}
         tolerances: dict[str, float] = {}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             if label.recording is None and label.directions[0].is_law:
@@ -549,9 +545,7 @@ def linearised_fit(fit: SimulatedFit, nuisances: Sequence[Direction]) -> Lineari
             residuals, jacobians, acting, columns, strict=True
         )
     ]
-    return LinearisedFit(
-        fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts), _lag_s(fit)
-    )
+    return LinearisedFit(fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts))
 
 
 def _lag_s(fit: SimulatedFit) -> float:
@@ -729,10 +723,7 @@ def with_far_terms_freed(
 
 
 def other_loops(linear_fit: LinearisedFit) -> list[SimulatedFit]:
-    """Fits with the other loops that may be the joint's, and everything freed after them.
-
-    The recordings often cannot tell which loop is the right one, and each gives its own gap.
-    """
+    """Fits with the other loops that may be the joint's, and everything freed after them."""
     fit, fits = linear_fit.fit, []
     for chosen, rival in linear_fit.loops:
         chosen_size = chosen.point.size
@@ -796,7 +787,8 @@ def _freed(fit: SimulatedFit, label: Label, sizes: FloatArray) -> SimulatedFit |
             room = (fit.point[reduced] - model.low[reduced]) / direction.per_unit
             move[k] = min(move[k], room)
             move[reduced] = -move[k] * direction.per_unit
-    return _fitted_from(model, fit, [unknown.centre for unknown in added], move)
+    point = np.concatenate([fit.point, [unknown.centre for unknown in added]])
+    return fitted_from(fit, model, [point + share * move for share in SHARES_TRIED], _goal(fit))
 
 
 def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[SimulatedFit]:
@@ -858,24 +850,6 @@ def _sampled_loops(fit: SimulatedFit, nuisances: Sequence[Direction]) -> list[Si
 def _goal(fit: SimulatedFit) -> float:
     """Largest χ² of a fit that may agree with the recordings."""
     return MOST_AGREEING * fit.residual.size
-
-
-def _fitted_from(
-    model: SimulatedSignals, fit: SimulatedFit, centres: Sequence[float], offset: FloatArray
-) -> SimulatedFit | None:
-    """Fit roughly from the linear prediction, ``offset`` (d,) away from the fit and the centres.
-
-    If the start cannot be simulated, the move is halved.
-    """
-    for _ in range(MOST_HALVES):
-        start = np.concatenate([fit.point, centres]) + offset
-        # A linear promise may be negative for a law.
-        start = np.clip(start, model.low, model.high)
-        if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
-            jacobian, goal = fit.derivatives(), _goal(fit)
-            return fit_simulated(model, start, fit.steps, rough=True, known=jacobian, goal=goal)
-        offset = 0.5 * offset
-    return None
 
 
 def marginalised(

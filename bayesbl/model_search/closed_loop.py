@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -87,13 +87,15 @@ class FittedSet:
 
     ``log_evidence``: ln of prior times evidence, without terms that are not in the set;
     ``posterior``: posterior of the terms always included, and of the misfit; ``excess_by_band``: χ²
-    beyond noise of the repeating part, by band, the mean first, (b,).
+    beyond noise of the repeating part, by band, the mean first, (b,); ``nuisances``: directions
+    that are marginalised.
     """
 
     explanation: Explanation
     log_evidence: float
     posterior: ModelPosterior
     excess_by_band: FloatArray
+    nuisances: Sequence[Direction] = ()
 
     @property
     def fit(self) -> SimulatedFit:
@@ -126,8 +128,10 @@ class FittedSet:
 
     @cached_property
     def explains_all(self) -> bool:
-        """Whether nothing unexplained repeats."""
-        return is_explained(self.fit)
+        """Whether nothing unexplained repeats beside the marginalised terms."""
+        if not self.nuisances:
+            return is_explained(self.fit)
+        return linearised_fit(self.fit, self.nuisances).explains
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,9 +331,7 @@ class SetSearch:
     @property
     def sets(self) -> tuple[tuple[FittedSet, float], ...]:
         """All fitted sets, each with its probability, the most probable first."""
-        fitted = sorted(self._sets.values(), key=lambda entry: -entry.log_evidence)
-        weights = np.exp([entry.log_evidence - fitted[0].log_evidence for entry in fitted])
-        return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+        return with_probabilities(self._sets.values())
 
     def answer(self) -> Naming:
         """Name hypotheses by the threshold on their probability."""
@@ -399,7 +401,7 @@ class SetSearch:
     def _stalls(self, previous: FittedSet) -> bool:
         """Whether the best set explains hardly more than the last one, and leaves much."""
         best = self.best
-        return not best.explains_all and best.misfit > (1.0 - HOPEFUL_SHARE) * previous.misfit
+        return best.misfit > (1.0 - HOPEFUL_SHARE) * previous.misfit and not best.explains_all
 
     def _is_far(self, fitted: FittedSet) -> bool:
         """Whether a missing effect may have drawn the gap far away."""
@@ -483,7 +485,7 @@ class SetSearch:
         fitted = self._weighed(explanation)
         if base is not None:
             is_likely = fitted.log_evidence > self.best.log_evidence + math.log(1.0 - NAMED_AT)
-            hopeful = base.explains_all or fitted.excess < (1.0 - HOPEFUL_SHARE) * base.excess
+            hopeful = fitted.excess < (1.0 - HOPEFUL_SHARE) * base.excess or base.explains_all
             if hopeful and (is_likely or fitted.excess < LEAVES_MOST * self.best.excess):
                 fitted = self._weighed(polished(explanation))
         if keys:
@@ -505,12 +507,12 @@ class SetSearch:
     def _linearised(self, explanation: Explanation) -> Linearised:
         """The view at a fit: one term for each compatible candidate and start."""
         terms: list[Term] = []
-        simulated: dict[CandidateKey, list[list[FloatArray]]] = {}
-        for candidate in self._candidates.values():
+        # Alike in all recordings and in one: neighbours find each other's simulations in the cache.
+        for candidate in sorted(self._candidates.values(), key=lambda c: (c.name, c.order or 0.0)):
             if any(member.bars(candidate) for member in explanation.candidates):
                 continue
             starts = (candidate.neutral, *candidate.starts)
-            by_start = self._columns(explanation.fit, candidate, simulated)
+            by_start = columns_of(explanation.fit, candidate)
             for start, columns in zip(starts, by_start, strict=True):
                 if not columns:
                     continue
@@ -529,31 +531,6 @@ class SetSearch:
         terms = [replace(term, prior_weight=1.0 / form_counts[term.hypothesis]) for term in terms]
         return linearised(explanation, terms, self._nuisances, self._noise)
 
-    def _columns(
-        self,
-        fit: SimulatedFit,
-        candidate: Candidate,
-        simulated: dict[CandidateKey, list[list[FloatArray]]],
-    ) -> list[list[FloatArray]]:
-        """Columns of a candidate; in one recording only, rows of the shared effect's columns.
-
-        So it does not change values that are known of the recording.
-        """
-        if candidate.recording is None or candidate.is_periodic:
-            return columns_of(fit, candidate)
-        key = candidate.name, *candidate.key[1:]
-        if key not in simulated:
-            # In this recording, its own unknowns and shared ones make the same change.
-            shared = tuple(replace(u, recording=None) for u in candidate.unknowns)
-            shared_candidate = replace(candidate, recording=None, unknowns=shared)
-            simulated[key] = columns_of(fit, shared_candidate)
-        index = [observation.name for observation in fit.model.recordings].index(
-            candidate.recording
-        )
-        return [
-            [fit.model.only_in(index, column) for column in columns] for columns in simulated[key]
-        ]
-
     def _excluded(self, candidate: Candidate) -> frozenset[str]:
         """Labels of hypotheses that cannot be in one set with a candidate."""
         names = {u.name for u in candidate.unknowns}
@@ -570,6 +547,13 @@ class SetSearch:
         )
 
 
+def with_probabilities(sets: Iterable[FittedSet]) -> tuple[tuple[FittedSet, float], ...]:
+    """Fitted sets, each with its probability, the most probable first."""
+    fitted = sorted(sets, key=lambda entry: -entry.log_evidence)
+    weights = np.exp([entry.log_evidence - fitted[0].log_evidence for entry in fitted])
+    return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+
+
 def weighed(
     explanation: Explanation,
     nuisances: Sequence[Direction] = (),
@@ -583,10 +567,11 @@ def weighed(
     view = linearised(explanation, (), nuisances, noise)
     posterior = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
-    # Laplace volume of the added unknowns; the posterior has that of all others.
-    k = sum(len(c.unknowns) for c in explanation.candidates)
-    evidence = posterior.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
-    return FittedSet(explanation, evidence, posterior, np.array(beyond))
+    evidence = posterior.log_evidence + explanation.log_prior
+    # The prior of a candidate's unknowns replaces the normal one that the view has for them.
+    unknowns = (u for c in explanation.candidates for u in c.unknowns)
+    evidence += sum(math.log(math.sqrt(2.0 * math.pi) * u.prior_sd) for u in unknowns)
+    return FittedSet(explanation, evidence, posterior, np.array(beyond), nuisances)
 
 
 def linearised(

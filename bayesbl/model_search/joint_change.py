@@ -20,7 +20,6 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.loop_noise import noise_along
-from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import (
     CHANGED_TOGETHER,
@@ -28,9 +27,16 @@ from bayesbl.model_search.always_in import (
     INSTANT_SHARE,
     SAMPLED,
     Direction,
+    LinearisedFit,
 )
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
-from bayesbl.model_search.closed_loop import FittedSet, Naming, SetSearch, name_missing
+from bayesbl.model_search.closed_loop import (
+    FittedSet,
+    Naming,
+    SetSearch,
+    weighed,
+    with_probabilities,
+)
 from bayesbl.model_search.refit import Explanation, columns_of
 from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
@@ -166,19 +172,29 @@ class JointFindings:
         return {c.recording for c in self.changed if c.slot == slot} >= set(self.recordings)
 
 
-def elastic_parts(
-    fit: SimulatedFit, nuisances: Sequence[Direction]
+def loops_and_parts(
+    fit: SimulatedFit, loops: Sequence[SimulatedFit], nuisances: Sequence[Direction]
 ) -> tuple[tuple[FittedSet, float], ...]:
-    """Fit the joint without and with an elastic belt, arm or base; the most probable model first.
+    """Fit the joint as it is, with other loops, and with an elastic part; the most probable first.
 
-    Such a part is far from linear in its compliance. The tolerances of a bench absorb most of its
-    effect, and δ is then wrong by much more than its interval. So each part is tried even if
-    nothing else indicates it, and δ is averaged over all models.
+    The recordings often cannot tell which loop is the right one, and each gives its own gap. An
+    elastic belt, arm or base is far from linear in its compliance. The tolerances of a bench absorb
+    most of its effect, and δ is then wrong by much more than its interval. So each part is tried
+    even if nothing else indicates it, and δ is averaged over all models. Empty for motions, in
+    which no part is sought, if no other loop fits as well.
     """
     bench, recordings = fit.model.bench, fit.model.recordings
     names = [e.name for e in EFFECTS if e.resonance is not None]
     parts = [c for c in candidates(bench, recordings, names) if c.name in names]
-    return SetSearch(Explanation((), fit), lambda _: parts, 1, nuisances).sets
+    if all(observation.motion is None for observation in recordings):
+        found = SetSearch(Explanation((), fit), lambda _: parts, 1, nuisances).sets
+        sets = [entry for entry, _ in found]
+    elif loops:
+        sets = [weighed(Explanation((), fit), nuisances)]
+    else:
+        return ()
+    sets += [weighed(Explanation((), loop), nuisances) for loop in loops]
+    return with_probabilities(sets)
 
 
 def with_part(
@@ -238,33 +254,29 @@ def _frequency_hz(bench: Bench, name: str, values: Mapping[str, float]) -> float
 
 def find_changes(
     nominal: SimulatedFit,
-    *,
     nuisances: Sequence[Direction] = (),
     progress: Progress = silent,
-) -> tuple[Naming, JointFindings]:
+) -> tuple[Naming, LinearisedFit, JointFindings]:
     """Find what must differ from the bench, in all recordings or in one, to explain them.
 
     ``nominal``: all recordings of a joint fitted together with the bench as believed;
     ``nuisances``: directions marginalised at every fit, which are therefore no blind spots;
     ``progress``: called with (fits made, fits expected).
     """
-    naming = name_missing(
-        nominal,
-        partial(_candidates, nominal),
-        max_effects=MOST_CHANGES,
-        nuisances=nuisances,
-        progress=progress,
+    posterior = SetSearch(
+        Explanation((), nominal), partial(_candidates, nominal), MOST_CHANGES, nuisances, progress
     )
-    final, linear_fit = naming.final, naming.linear_fit
-    explained = is_explained(final.fit) if linear_fit is None else linear_fit.explains
+    naming = posterior.answer()
+    final, linear_fit = naming.final, posterior.linearised_fit(naming.final)
     names = dict.fromkeys(name for effect in naming.effects for name in effect.members)
-    return naming, JointFindings(
+    findings = JointFindings(
         tuple(observation.name for observation in nominal.model.recordings),
-        explained,
+        linear_fit.explains,
         tuple(_parameters(final)),
         tuple(names),
-        tuple(blind_spots(final.fit, nuisances)) if explained else (),
+        tuple(blind_spots(final.fit, nuisances)) if linear_fit.explains else (),
     )
+    return naming, linear_fit, findings
 
 
 def changes_at_fit(
@@ -399,7 +411,12 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
     if len(recordings) == 1:
         return everywhere
     existing_keys = {unknown.key for unknown in model.unknowns}
-    within = [c.within(observation.name) for observation in recordings for c in hypotheses]
+    within = [
+        c.within(observation.name)
+        for observation in recordings
+        for c in hypotheses
+        if not any(u.name in observation.known for u in c.unknowns)
+    ]
     return [*everywhere, *(c for c in within if not existing_keys & c.unknown_keys)]
 
 

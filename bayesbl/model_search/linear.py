@@ -52,8 +52,8 @@ GIBBS_SWEEPS = 25
 ROUNDING = 2e-15
 """Rounding error of a number that is computed from numbers of size one."""
 
-UNSEEN = 1e-12
-"""Eigenvalue of a Gram matrix of unit columns, below which it is rounding error."""
+NOTHING = 1e-13
+"""Singular value of unit columns, below which it is rounding error."""
 
 DEPENDENT = 1e-8
 """Smallest component of a fitted column orthogonal to the others, relative to its length."""
@@ -282,97 +282,77 @@ def orthant(
     return np.asarray(log_site.sum(1) + normal), mu, np.asarray(sigma, dtype=float)
 
 
-def _inverse_root(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, float]:
-    """R with R Rᵀ = A⁻¹, (n, rank), and ln |A| of A = G + P: Gram matrix and prior precision.
-
-    In a direction whose data are below rounding, the prior alone counts. A direction with neither
-    data nor prior is left out of both.
-    """
-    total = gram + prior
-    scale = np.sqrt(np.where(np.diag(total) > 0.0, np.diag(total), 1.0))
-    unit = np.outer(scale, scale)
-    parts = [(np.eye(len(scale)), *np.linalg.eigh(total / unit))]
-    if np.any(parts[0][1] <= UNSEEN):
-        values, vectors = np.linalg.eigh(gram / unit)
-        shown, precision = values > UNSEEN, vectors.T @ (prior / unit) @ vectors
-        with_data = precision[np.ix_(shown, shown)] + np.diag(values[shown])
-        cross = np.linalg.solve(with_data, precision[np.ix_(shown, ~shown)])
-        without = precision[np.ix_(~shown, ~shown)] - precision[np.ix_(~shown, shown)] @ cross
-        basis = vectors[:, shown]
-        parts = [
-            (basis, *np.linalg.eigh(with_data)),
-            (vectors[:, ~shown] - basis @ cross, *np.linalg.eigh(without)),
-        ]
-    roots, log_det = [], 2.0 * float(np.log(scale).sum())
-    for basis, values, axes in parts:
-        kept = values > ROUNDING
-        roots.append(basis @ axes[:, kept] / np.sqrt(values[kept]))
-        log_det += float(np.log(values[kept]).sum())
-    return np.asarray(np.hstack(roots) / scale[:, None]), log_det
-
-
-def _cholesky(matrix: np.ndarray) -> FloatArray:
-    """Cholesky factor of a positive definite matrix, robust to rounding where noise is tiny."""
-    try:
-        return np.asarray(np.linalg.cholesky(matrix))
-    except np.linalg.LinAlgError:
-        rounding = 1e-12 * np.diag(matrix).max()
-        values, vectors = np.linalg.eigh(matrix)
-        least = np.maximum(values, rounding)
-        return np.asarray(np.linalg.cholesky((vectors * least) @ vectors.T))
-
-
-def _without_rounding(gram: FloatArray) -> FloatArray:
-    """A Gram matrix to which priors of size one can be added.
-
-    If noise is tiny, rounding in the marginalisation leaves eigenvalues below −1.
-    """
-    try:
-        np.linalg.cholesky(gram + np.eye(len(gram)))
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(gram)
-        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
-    return gram
+def _triangle(rows: FloatArray) -> FloatArray:
+    """R factor of rows (n, p), shape (p, p): it has their inner products, without squaring them."""
+    missing = max(rows.shape[1] - len(rows), 0)
+    return np.asarray(np.linalg.qr(np.pad(rows, [(0, missing), (0, 0)]), mode="r"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Base:
-    """Gram matrices at one scale of the misfit bands.
+class _Marginalised:
+    """Some columns of whitened rows, integrated out.
 
-    They are those of the nuisance parameters (u and the terms always included), without their
-    prior, of these with the other columns, and of the other columns after marginalisation.
+    Attributes
+    ----------
+    root, along, across
+        Given the sizes v of the other columns, those of these are root (along − across v + e) with
+        a standard normal e; shapes (q, rank), (rank,) and (rank, k).
+    rest
+        Other columns and residual orthogonal to these, (k + 1, k + 1), an R factor.
+    log_volume
+        −½ ln |A|, A the posterior precision of these columns.
     """
 
-    nuisance_gram: FloatArray
     root: FloatArray
-    cross: FloatArray
-    nuisance_pull: FloatArray
-    gram: FloatArray
-    right: FloatArray
-    squares: float
-    chi_square: float
+    along: FloatArray
+    across: FloatArray
+    rest: FloatArray
     log_volume: float
 
     @classmethod
-    def of(cls, total: FloatArray, prior: FloatArray, pull: FloatArray, log_volume: float) -> _Base:
-        q = len(prior)
-        nuisance_gram, cross = total[:q, :q], total[:q, q:-1]
-        root, log_det = _inverse_root(nuisance_gram, prior)
-        nuisance_pull = total[:q, -1] + pull
-        squares = float(total[-1, -1])
-        # Products with the root keep a direction without data apart from rounding.
-        across, along = root.T @ cross, root.T @ nuisance_pull
+    def of(cls, rows: FloatArray, count: int) -> _Marginalised:
+        """Integrate out the first columns of whitened rows, priors among them; residual last.
+
+        A direction with neither data nor prior is left out.
+        """
+        columns, others = rows[:, :count], rows[:, count:]
+        unit = np.linalg.norm(columns, axis=0)
+        unit = np.where(unit > 0.0, unit, 1.0)
+        basis, sizes, axes = np.linalg.svd(columns / unit, full_matrices=False)
+        kept = sizes > NOTHING
+        basis, sizes, axes = basis[:, kept], sizes[kept], axes[kept]
+        products = basis.T @ others
+        rest = others - basis @ products
         return cls(
-            nuisance_gram,
-            root,
-            cross,
-            nuisance_pull,
-            _without_rounding(total[q:-1, q:-1] - across.T @ across),
-            total[q:-1, -1] - across.T @ along,
-            squares,
-            squares - float(along @ along),
-            log_volume - 0.5 * log_det,
+            axes.T / sizes / unit[:, None],
+            products[:, -1],
+            products[:, :-1],
+            _triangle(rest - basis @ (basis.T @ rest)),
+            -float(np.log(sizes).sum() + np.log(unit).sum()),
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """The view with nuisances and discrepancy h marginalised at one level of their scales.
+
+    Attributes
+    ----------
+    matrix, target
+        Whitened columns of the remaining terms, (k, k), and residual, (k,).
+    precision
+        Precision of their sizes with their priors, (k, k).
+    log_evidence
+        ln evidence of the residual orthogonal to them.
+    of_h
+        Given sizes a, the present columns of h are T⁻¹ (y − B a + e): (T, B, y) side by side.
+    """
+
+    matrix: FloatArray
+    target: FloatArray
+    precision: FloatArray
+    log_evidence: float
+    of_h: FloatArray
 
 
 class _Grams:
@@ -397,25 +377,23 @@ class _Grams:
         h = view.discrepancy * self.scale_of_column
         columns = [terms[i].columns for i in remaining]
         everything = np.hstack([*nuisance, *columns, h, view.residual[:, None]])
-        self.prior = np.eye(self.d + self.columns_free.size)
-        self.prior[: self.d, : self.d] = view.prior_precision
-        self.pull = np.zeros(len(self.prior))
-        self.pull[: self.d] = view.prior_pull
-        self.parts = [everything[b.rows].T @ everything[b.rows] for b in view.bands]
-        self.outside_bands = everything.T @ everything - sum(self.parts, np.zeros(()))
-        self._bases: dict[tuple[int, ...], _Base] = {}
+        free = np.eye(self.columns_free.size, everything.shape[1], self.d)
+        self.prior = np.concatenate([self._prior_of_u(everything.shape[1]), free])
+        in_band = np.zeros(len(everything), dtype=bool)
+        self.parts = []
+        for band in view.bands:
+            in_band[band.rows] = True
+            self.parts.append(_triangle(everything[band.rows]))
+        self.outside_bands = _triangle(everything[~in_band])
+        self._bases: dict[tuple[int, ...], tuple[_Marginalised, _Marginalised]] = {}
         samples = view.residual.size
         lowest = 1.0 / math.sqrt(max(1, samples))
         steps = math.ceil(math.log(DISCREPANCY_LARGEST / lowest) / math.log(DISCREPANCY_SPACING))
         self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
-        base = self.base((0,) * len(view.scaled))
-        gram_u = base.nuisance_gram[: self.d, : self.d]
-        self.root_u, _ = _inverse_root(gram_u, view.prior_precision)
-        self.inverse_u = self.root_u @ self.root_u.T
-        self.pull_u = base.nuisance_pull[: self.d]
-        chi_square = base.squares - float(np.sum((self.root_u.T @ self.pull_u) ** 2))
-        effective = float(np.sum(self.inverse_u * gram_u))
-        self.excess_chi_square = chi_square - (samples - effective)
+        self.of_u = self.bases((0,) * len(view.scaled))[1]
+        by_prior = np.sum((self.prior[:, : self.d] @ self.of_u.root) ** 2)
+        freedom = samples - self.of_u.along.size + float(by_prior)
+        self.excess_chi_square = float(np.sum(self.of_u.rest[:, -1] ** 2)) - freedom
         starts = dict(zip(remaining, np.cumsum([0, *self.widths[remaining]]), strict=False))
         self.columns_of = {i: starts[i] + np.arange(self.widths[i]) for i in remaining}
         always_positive = [i for i in remaining if terms[i].always]
@@ -433,19 +411,32 @@ class _Grams:
         self.excluded = self._exclusions()
         present = {term.hypothesis for term in terms}
         self.requires = [term.requires & present for term in terms]
-        self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float]] = {}
+        self._cache: dict[tuple[int, ...], _Level] = {}
 
-    def base(self, level: tuple[int, ...]) -> _Base:
-        """Everything with u and the terms always included marginalised, at the bands' scales."""
+    def _prior_of_u(self, width: int) -> FloatArray:
+        """Prior of u as rows W with W u = w + e, e standard normal: W in front and w at the end."""
+        view = self.view
+        scale = np.sqrt(np.diag(view.prior_precision))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        values, axes = np.linalg.eigh(view.prior_precision / np.outer(scale, scale))
+        axes, root = axes[:, values > ROUNDING], np.sqrt(values[values > ROUNDING])
+        rows = np.zeros((root.size, width))
+        rows[:, : self.d] = root[:, None] * axes.T * scale
+        rows[:, -1] = axes.T @ (view.prior_pull / scale) / root
+        self.log_prior_volume = float(np.log(root).sum() + np.log(scale).sum())
+        return rows
+
+    def bases(self, level: tuple[int, ...]) -> tuple[_Marginalised, _Marginalised]:
+        """All nuisances, and u alone, marginalised at the bands' scales."""
         indices = level[len(self.view.groups) :]
         if indices not in self._bases:
-            total = self.outside_bands.copy()
-            log_volume = 0.0
-            for index, band, part in zip(indices, self.view.bands, self.parts, strict=True):
-                variance = 1.0 + float(self.lattice[index]) ** 2
-                total += part / variance
-                log_volume -= 0.5 * band.freedom * math.log(variance)
-            self._bases[indices] = _Base.of(total, self.prior, self.pull, log_volume)
+            sds = np.sqrt(1.0 + self.lattice[list(indices)] ** 2)
+            parts = [part / sd for part, sd in zip(self.parts, sds, strict=True)]
+            rows = np.concatenate([self.outside_bands, *parts, self.prior])
+            of_u = all_nuisances = _Marginalised.of(rows, self.d)
+            if self.free:
+                all_nuisances = _Marginalised.of(rows, self.d + self.columns_free.size)
+            self._bases[indices] = all_nuisances, of_u
         return self._bases[indices]
 
     def _discrepancy_scale(self) -> FloatArray:
@@ -477,43 +468,38 @@ class _Grams:
             return np.zeros(0, dtype=int), np.zeros(0)
         return np.concatenate(present), np.concatenate(precision)
 
-    def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float]:
-        """Precision of the terms' sizes and right side with h marginalised, and the ln evidence."""
+    def at(self, level: tuple[int, ...]) -> _Level:
+        """The view at one level."""
         if level not in self._cache:
-            k, base = self.k, self.base(level)
-            gram, right = base.gram[:k, :k], base.right[:k]
-            log_evidence = base.log_volume - 0.5 * base.chi_square
-            present, precision_h = self.precision_of_h(level)
-            if present.size:
-                indices = present + k
-                root = np.sqrt(precision_h)
-                # (R⁻¹ G R⁻¹ + I), R² the precision, is well conditioned at every scale.
-                scaled_gram = base.gram[np.ix_(indices, indices)] / np.outer(root, root) + np.eye(
-                    present.size
-                )
-                lower = _cholesky(scaled_gram)
-                cross = np.linalg.solve(
-                    lower, base.gram[np.ix_(indices, np.arange(k))] / root[:, None]
-                )
-                scaled_right = np.linalg.solve(lower, base.right[indices] / root)
-                gram = _without_rounding(gram - cross.T @ cross)
-                right = right - cross.T @ scaled_right
-                log_evidence += 0.5 * float(scaled_right @ scaled_right) - float(
-                    np.log(np.diag(lower)).sum()
-                )
-                # h cannot explain more than the total χ²; if it does, rounding dominates at its
-                # scale.
-                if float(scaled_right @ scaled_right) > (1.0 + 1e-6) * base.chi_square:
-                    right, log_evidence = np.zeros(k), -math.inf
+            base = self.bases(level)[0]
+            present, precision = self.precision_of_h(level)
+            order = np.concatenate([present + self.k, np.arange(self.k), [-1]])
+            prior = np.zeros((present.size, order.size))
+            np.fill_diagonal(prior, np.sqrt(precision))
+            triangle = _triangle(np.concatenate([base.rest[:, order], prior]))
+            of_h, below = triangle[: present.size], triangle[present.size :]
+            shrink = np.abs(np.diag(of_h)) / np.sqrt(precision)
+            log_evidence = base.log_volume - float(np.log(shrink).sum()) + self.log_prior_volume
+            log_evidence -= 0.5 * float(below[-1, -1]) ** 2
             absent = DISCREPANCY_ABSENT
             for index, group in zip(level, self.view.scaled, strict=True):
                 weight = absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
-                log_evidence += math.log(weight)
-                log_evidence -= 0.5 * float(self.lattice[index] / group.usual) ** 2
+                scale = float(self.lattice[index])
+                log_evidence += math.log(weight) - 0.5 * (scale / group.usual) ** 2
+                if isinstance(group, MisfitBand):
+                    log_evidence -= 0.5 * group.freedom * math.log1p(scale**2)
+            matrix = below[:-1, present.size : -1]
+            gram = matrix.T @ matrix
             # The prior of each size is 1. The rest keeps collinear columns apart beyond rounding.
-            precision = gram + np.diag(1.0 + ROUNDING * np.diag(gram))
-            self._cache[level] = precision, right, log_evidence
+            precision_of_sizes = gram + np.diag(1.0 + ROUNDING * np.diag(gram))
+            self._cache[level] = _Level(
+                matrix, below[:-1, -1], precision_of_sizes, log_evidence, of_h
+            )
         return self._cache[level]
+
+    def right(self, level: tuple[int, ...]) -> FloatArray:
+        """Products of the remaining columns with the residual, (k,)."""
+        return np.asarray(self.at(level).matrix.T @ self.at(level).target)
 
     def columns(self, terms: tuple[int, ...]) -> np.ndarray:
         """Columns of a set's terms and of those always included, (n,)."""
@@ -528,20 +514,23 @@ class _Grams:
         self, sets: Sequence[tuple[int, ...]], level: tuple[int, ...], *, sweeps: int = 12
     ) -> FloatArray:
         """ln of prior times evidence of sets at one level, (B,)."""
-        precisions, right, base = self.at(level)
-        result = np.array([base + sum(self.log_prior[i] for i in terms) for terms in sets])
+        at, right = self.at(level), self.right(level)
+        result = at.log_evidence + np.array([self.log_prior[list(terms)].sum() for terms in sets])
         by_size: dict[int, list[int]] = {}
         columns_by_set = [self.columns(terms) for terms in sets]
         for k, columns in enumerate(columns_by_set):
             by_size.setdefault(columns.size, []).append(k)
         for size, indices in by_size.items():
             if size == 0:
+                result[indices] -= 0.5 * float(at.target @ at.target)
                 continue
             columns = np.stack([columns_by_set[k] for k in indices])
-            precision = precisions[columns[:, :, None], columns[:, None, :]]
-            b = right[columns]
-            mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
-            values = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
+            precision = at.precision[columns[:, :, None], columns[:, None, :]]
+            mean = np.linalg.solve(precision, right[columns][:, :, None])[:, :, 0]
+            # The residual itself: a difference of much larger sums of squares is rounding error.
+            residual = at.target - np.einsum("kbi,bi->bk", at.matrix[:, columns], mean)
+            chi_square = (residual**2).sum(1) + (mean**2).sum(1)
+            values = -0.5 * (chi_square + np.linalg.slogdet(precision)[1])
             positive = self.is_positive[columns]
             if positive.any():
                 log_orthant = orthant(mean, precision, positive, sweeps)[0]
@@ -554,7 +543,7 @@ class _Grams:
 
         A first estimate, which ignores the sign constraints of the set.
         """
-        precisions, right, _ = self.at(level)
+        precisions, right = self.at(level).precision, self.right(level)
         columns = self.columns(terms)
         if columns.size:
             regression = np.linalg.solve(precisions[np.ix_(columns, columns)], precisions[columns])
@@ -589,10 +578,9 @@ class _Grams:
     ) -> tuple[np.ndarray, FloatArray, FloatArray]:
         """Columns of a set (those always included last); mean and precision without sign
         constraints."""
-        precisions, right, _ = self.at(level)
         columns = self.columns(terms)
-        precision = precisions[np.ix_(columns, columns)]
-        return columns, np.linalg.solve(precision, right[columns]), precision
+        precision = self.at(level).precision[np.ix_(columns, columns)]
+        return columns, np.linalg.solve(precision, self.right(level)[columns]), precision
 
 
 def search(
@@ -716,8 +704,8 @@ class ModelPosterior:
     @property
     def always_gain(self) -> float:
         """Reduction of χ², priors included, by the terms always included."""
-        base = self._grams.base((0,) * len(self.linearised.scaled))
-        return base.squares - base.chi_square
+        base = self._grams.bases((0,) * len(self.linearised.scaled))[0]
+        return float(base.along @ base.along)
 
     @cached_property
     def sets(self) -> dict[tuple[int, ...], float]:
@@ -775,15 +763,12 @@ class ModelPosterior:
         grams = self._grams
         levels = (m._level for m in self.models if m.terms == terms)
         level = next(levels, self.models[0]._level)
-        base = grams.base(level)
-        columns, _, precision = grams.normal(terms, level)
-        right = grams.at(level)[1][columns]
-        lower = _cholesky(precision)
-        whitened = np.asarray(np.linalg.solve(lower, right), dtype=float)
+        base, at, columns = grams.bases(level)[0], grams.at(level), grams.columns(terms)
+        rows = np.concatenate([at.matrix[:, columns], np.eye(columns.size)])
+        target = np.concatenate([at.target, np.zeros(columns.size)])
         least = np.where(grams.is_positive[columns], 0.0, -np.inf)
-        sizes = bounded_least_squares(lower.T, whitened, least)
-        pull = base.nuisance_pull - base.cross[:, columns] @ sizes
-        centre = base.root @ (base.root.T @ pull)
+        sizes = bounded_least_squares(rows, target, least)
+        centre = base.root @ (base.along - base.across[:, columns] @ sizes)
         set_terms = [self.linearised.terms[i] for i in terms]
         parts = np.split(sizes, np.cumsum([term.columns.shape[1] for term in set_terms]))
         return [p * t.unit for p, t in zip(parts, set_terms, strict=False)], centre[: grams.d]
@@ -830,7 +815,8 @@ class ModelPosterior:
     @property
     def covariance(self) -> FloatArray:
         """Covariance of u alone, (d, d)."""
-        return self._grams.inverse_u
+        root = self._grams.of_u.root
+        return np.asarray(root @ root.T)
 
     @property
     def excess_chi_square(self) -> float:
@@ -859,7 +845,8 @@ class ModelPosterior:
         counts = np.diff(ends, prepend=0)
         width = grams.columns_remaining.size + grams.columns_free.size
         sizes, h, shift = (np.zeros((n, size)) for size in (width, grams.m, grams.d))
-        start, unshifted = 0, grams.root_u @ (grams.root_u.T @ grams.pull_u)
+        alone = grams.of_u
+        start, unshifted = 0, alone.root @ alone.along
         for model, count in zip(self.models, counts, strict=True):
             if not count:
                 continue
@@ -867,7 +854,7 @@ class ModelPosterior:
             start += count
             (model_generator,) = generator.spawn(1)
             columns, mean, precision = grams.normal(model.terms, model._level)
-            base = grams.base(model._level)
+            base, of_u = grams.bases(model._level)
             a = _truncated(
                 mean,
                 precision,
@@ -877,40 +864,39 @@ class ModelPosterior:
                 model_generator,
             )
             sizes[rows, grams.columns_remaining[columns]] = a
-            present, prior = grams.precision_of_h(model._level)
+            present, _ = grams.precision_of_h(model._level)
             both = np.concatenate([columns, present + grams.k])
             if present.size:
-                indices = present + grams.k
-                gram = base.gram[np.ix_(indices, indices)] + np.diag(prior)
-                right = base.right[indices] - a @ base.gram[np.ix_(columns, indices)]
-                lower = _cholesky(gram)
+                triangle, across, along = np.split(
+                    grams.at(model._level).of_h, [present.size, present.size + grams.k], axis=1
+                )
                 noise = model_generator.standard_normal((count, present.size))
-                whitened = np.linalg.solve(lower, right.T) + noise.T
-                h[rows, present] = np.linalg.solve(lower.T, whitened).T
+                pull = along + noise.T - across[:, columns] @ a.T
+                h[rows, present] = np.linalg.solve(triangle, pull).T
             if grams.free:
                 values = np.concatenate([a, h[rows, present]], axis=1)
-                pull = base.nuisance_pull - values @ base.cross[:, both].T
                 root = base.root[grams.d :]
                 noise = model_generator.standard_normal((count, len(root)))
-                scatter = noise @ _cholesky(root @ root.T).T
-                sizes[rows, grams.columns_free] = pull @ base.root @ root.T + scatter
-            prior_u = grams.prior[: grams.d, : grams.d]
-            root_u, _ = _inverse_root(base.nuisance_gram[: grams.d, : grams.d], prior_u)
-            inverse_u = root_u @ root_u.T
+                sizes[rows, grams.columns_free] = (
+                    base.along - values @ base.across[:, both].T
+                ) @ root.T + noise @ _triangle(root.T)
             # Rows with misfit leave u less certain than the draws of u alone have it.
-            values, vectors = np.linalg.eigh(inverse_u - grams.inverse_u)
+            more = of_u.root @ of_u.root.T - alone.root @ alone.root.T
+            values, vectors = np.linalg.eigh(more)
             extra = model_generator.standard_normal((count, grams.d)) * np.sqrt(
                 np.maximum(values, 0.0)
             )
-            signal = sizes[rows][:, grams.columns_remaining] @ base.cross[: grams.d, : grams.k].T
-            signal += h[rows] @ base.cross[: grams.d, grams.k :].T
-            signal += sizes[rows][:, grams.columns_free] @ base.nuisance_gram[grams.d :, : grams.d]
-            centre = (base.nuisance_pull[: grams.d] - signal) @ root_u @ root_u.T
+            free, remaining = (
+                sizes[rows][:, grams.columns_free],
+                sizes[rows][:, grams.columns_remaining],
+            )
+            others = np.concatenate([free, remaining, h[rows]], axis=1)
+            centre = (of_u.along - others @ of_u.across.T) @ of_u.root.T
             shift[rows] = centre + extra @ vectors.T - unshifted
         order = generator.permutation(n)
         shift = shift[order]
-        noise = generator.standard_normal((n, grams.root_u.shape[1]))
-        fitted = unshifted + noise @ grams.root_u.T + shift
+        noise = generator.standard_normal((n, alone.root.shape[1]))
+        fitted = unshifted + noise @ alone.root.T + shift
         return Draws(sizes[order], h[order] * grams.scale_of_column, shift, fitted)
 
 
@@ -1009,6 +995,6 @@ def _truncated(
         if bounded.size:
             gain = np.linalg.solve(sub, covariance[np.ix_(bounded, free)])
             centre = centre + (result[:, bounded] - mean[bounded]) @ gain
-        root = _cholesky(np.linalg.inv(precision[np.ix_(free, free)]))
-        result[:, free] = centre + generator.standard_normal((n, free.size)) @ root.T
+        root = np.linalg.inv(np.linalg.cholesky(precision[np.ix_(free, free)]))
+        result[:, free] = centre + generator.standard_normal((n, free.size)) @ root
     return result

@@ -18,12 +18,10 @@ recordings, a diagnosis learns a torque, and an identification looks for a gross
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from bayesbl.bench.bench import Bench
 from bayesbl.matching.alignment import fit_aligned, valid_variant
@@ -41,23 +39,20 @@ from bayesbl.model_search.always_in import (
     LEAST_SHARE,
     Direction,
     LinearisedFit,
-    common_unknowns,
     directions,
-    linearised_fit,
     marginalised,
     other_loops,
     with_far_terms_freed,
     with_friction,
 )
-from bayesbl.model_search.closed_loop import FittedSet, averaged, weighed
+from bayesbl.model_search.closed_loop import FittedSet, averaged
 from bayesbl.model_search.joint_change import (
     JointFindings,
     changes_at_fit,
-    elastic_parts,
     find_changes,
+    loops_and_parts,
     with_part,
 )
-from bayesbl.model_search.refit import Explanation
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -111,26 +106,6 @@ def friction_drift(
         for d in nuisances
         if d.slot in sizes and d.drift > 0.0
     ]
-
-
-def rival_loops(
-    linear_fit: LinearisedFit, nuisances: Sequence[Direction], probability: float
-) -> list[tuple[FittedSet, float]]:
-    """Other loops that explain the recordings as well, each with its share of ``probability``."""
-    fits = [linear_fit.fit, *other_loops(linear_fit)]
-    if len(fits) == 1:
-        return []
-    common = min(sum(1 for _ in common_unknowns(fits[0].model, f.model)) for f in fits[1:])
-    sets = [weighed(Explanation((), fit), nuisances) for fit in fits]
-    evidence = np.array(
-        [
-            entry.log_evidence
-            - sum(math.log(u.prior_sd) for u in entry.fit.model.unknowns[common:])
-            for entry in sets
-        ]
-    )
-    share = probability * np.exp(evidence - logsumexp(evidence))
-    return [(entry, float(p)) for entry, p in zip(sets[1:], share[1:], strict=True) if p > 0.0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,7 +185,7 @@ def fit_jointly(
     allowing = of_stage(progress, f"Allowing for what the bench lacks in {name}")
     linear_fit = with_far_terms_freed(nominal, nuisances, allowing)
     if linear_fit.explains:
-        sets = () if moving else elastic_parts(linear_fit.fit, nuisances)
+        sets = loops_and_parts(linear_fit.fit, other_loops(linear_fit), nuisances)
         for best, probability in sets[:1]:
             if best.explanation.candidates:
                 fit, part_values, part = with_part(nominal, best.explanation, probability)
@@ -219,21 +194,17 @@ def fit_jointly(
                 if part_fit.explains:
                     joint = changes_at_fit(part_fit.fit, extended, part)
                     return JointFit(linear_fit=part_fit, others=sets[1:], joint=joint)
-        others = [(entry, p) for entry, p in sets if entry.explanation.candidates]
-        others += rival_loops(linear_fit, nuisances, 1.0 - sum(p for _, p in others))
+        others = [(entry, p) for entry, p in sets if entry.fit.model is not linear_fit.fit.model]
         return JointFit(
             linear_fit=linear_fit, others=others, joint=changes_at_fit(linear_fit.fit, nuisances)
         )
     seeking = of_stage(progress, f"Seeking changes in {name}")
-    naming, joint = find_changes(linear_fit.fit, nuisances=nuisances, progress=seeking)
-    linear_fit = naming.linear_fit or linearised_fit(naming.final.fit, nuisances)
+    naming, linear_fit, joint = find_changes(linear_fit.fit, nuisances, seeking)
     if not linear_fit.has_discrepancy:
         # Lags in place of what is now named may no longer be needed.
-        unlagged, count = (
-            with_far_terms_freed(linear_fit.fit, nuisances, allowing),
-            len(linear_fit.fit.model.unknowns),
-        )
-        if all(u.recording is None for u in unlagged.fit.model.unknowns[count:]):
+        unlagged = with_far_terms_freed(linear_fit.fit, nuisances, allowing)
+        freed = unlagged.fit.model.unknowns[len(linear_fit.fit.model.unknowns) :]
+        if all(u.recording is None for u in freed):
             linear_fit = unlagged
     # Sets that explain too little to be named know less about the misfit than the bench does.
     return JointFit(

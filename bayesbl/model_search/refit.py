@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesbl.errors import SimulationError
+from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.signals import SimulatedSignals
@@ -123,14 +123,26 @@ def refit(
             np.concatenate([point + base_shift, *added_points])
             for base_shift in (share * shift, 0.0 * shift)
         ]
+    fit = fitted_from(base.fit, model, starts)
+    return None if fit is None else Explanation((*base.candidates, *(c for c, _ in added)), fit)
+
+
+def fitted_from(
+    fit: SimulatedFit,
+    model: SimulatedSignals,
+    starts: Sequence[FloatArray],
+    goal: float = math.inf,
+) -> SimulatedFit | None:
+    """Fit an extended model roughly from the best of some starts; ``None`` without one.
+
+    ``goal``: as :func:`fit_simulated` takes it.
+    """
+    # A linear promise may be outside a range.
     trials = np.clip(np.stack(starts), model.low, model.high)
-    chi_squares = np.array([chi_square(model, trial) for trial in trials])
-    candidates = (*base.candidates, *(c for c, _ in added))
-    with suppress(SimulationError):
-        best, steps = trials[int(np.argmin(chi_squares))], base.fit.steps
-        jacobian = base.fit.derivatives()
-        fit = fit_simulated(model, best, steps, rough=True, known=jacobian)
-        return Explanation(candidates, fit)
+    best = min(trials, key=lambda trial: chi_square(model, trial))
+    known = fit.derivatives()
+    with suppress(BenchError):
+        return fit_simulated(model, best, fit.steps, rough=True, known=known, goal=goal)
     return None
 
 
@@ -152,7 +164,7 @@ def reduced(
         model = extended(model, candidate)
     try:
         fit = fit_simulated(model, full.fit.point[indices], full.fit.steps[indices], one_sided=True)
-    except SimulationError:
+    except BenchError:
         return None
     return Explanation(tuple(kept), fit)
 
@@ -173,7 +185,7 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
         scans.append((chi_square(extended_model, start), start, extended_model, candidate))
     fitted = []
     for _, start, extended_model, candidate in sorted(scans, key=lambda p: p[0])[:MOST_FROM_AFAR]:
-        with suppress(SimulationError):
+        with suppress(BenchError):
             fit = fit_simulated(extended_model, start, nominal.fit.steps, rough=True)
             fitted.append(Explanation((*nominal.candidates, candidate), fit))
     samples = nominal.fit.residual.size

@@ -14,6 +14,7 @@ from recording_files import write_csv
 import bayesbl
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
+from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
     MEAN_CURRENT,
@@ -108,6 +109,26 @@ def test_more_gap_alone_is_no_other_joint(before: PointEstimate) -> None:
         assert change_reason(check) is None
         assert check["items"]
         assert check["blind_spots"]
+
+
+def test_the_bench_tells_how_the_gap_changes_the_ringing(before: PointEstimate) -> None:
+    """On a joint unlike the reference bench, the ringing may follow the amplitude more closely."""
+    after = point(changed(speed_gain_nm_s_per_rad=0.6), 1.2e-3, 3)
+    (first, _), (second, _) = before.ringing, after.ringing
+    curve = published_curve(draws=1)
+    log_amplitude = np.log(curve.knots_rpm / first[0]) / math.log(second[0] / first[0])
+    frequency, decay = (first[k] + (second[k] - first[k]) * log_amplitude for k in (1, 2))
+    nothing, scatter = np.zeros((1, log_amplitude.size)), np.zeros((log_amplitude.size, 3, 3))
+    own = replace(curve, ringing=Ringing(frequency, decay, nothing, nothing, scatter))
+
+    def is_changed(*curves: GapCurve | None) -> bool:
+        check = same_joint([before, after], (False, False), curves=curves)
+        items = [item for item in check["items"] if item["quantity"].startswith("ringing")]
+        return max(abs(item["z"]) for item in items) > 3.0
+
+    assert is_changed(None, None)
+    assert is_changed(curve, curve)
+    assert not is_changed(own, own)
 
 
 @pytest.mark.long

@@ -33,10 +33,11 @@ from bayesbl.model_search.always_in import (
     with_friction,
     with_neutral,
 )
+from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import weighed
-from bayesbl.model_search.joint_change import elastic_parts, with_part
+from bayesbl.model_search.joint_change import loops_and_parts, with_part
 from bayesbl.model_search.pipeline import JointFit, direct_unknowns, fit_jointly
-from bayesbl.model_search.refit import Explanation
+from bayesbl.model_search.refit import Explanation, refit
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -482,7 +483,7 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     )
     unknowns = direct_unknowns(sheet, ["one"], (1e-4, 1e-2))
     nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
-    (best, probability), *_ = elastic_parts(nominal, directions(BENCH, {}))
+    (best, probability), *_ = loops_and_parts(nominal, (), directions(BENCH, {}))
     fit, _, part = with_part(nominal, best.explanation, probability)
     assert part.name == "belt"
     assert part.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
@@ -507,8 +508,25 @@ def test_what_stands_beside_a_fit_leaves_its_derivatives_as_they_are() -> None:
     assert np.array_equal(fit.derivatives(), before)
 
 
+def test_a_set_explains_what_its_marginalised_terms_explain() -> None:
+    """Drifted damping repeats in the residual, and the drift that is marginalised explains it."""
+    fit, among = pair(scaled(**{DAMPING: 0.6})), directions(BENCH, {})
+    assert not weighed(Explanation((), fit)).explains_all
+    assert weighed(Explanation((), fit), among).explains_all
+
+
+def test_a_law_that_no_start_can_simulate_is_left_out() -> None:
+    """A lag that makes the loop unstable, not an error of the bench."""
+    fit = pair(BENCH)
+    name = "current_loop_lag"
+    (lag,) = (c for c in candidates(BENCH, fit.model.recordings, [name]) if c.name == name)
+    slow = replace(lag, unknowns=(replace(lag.unknowns[0], low=0.1, high=0.2),))
+    shift = np.zeros(fit.point.size)
+    assert refit(Explanation((), fit), [(slow, np.array([0.15]))], shift) is None
+
+
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
-    (best, _), *_ = elastic_parts(pair(BENCH), directions(BENCH, {}))
+    (best, _), *_ = loops_and_parts(pair(BENCH), (), directions(BENCH, {}))
     assert not best.explanation.candidates
 
 

@@ -65,7 +65,7 @@ def nominal_fit(
 
 def changes(nominal):
     """The fit with what changed freed, and what that is."""
-    naming, found = find_changes(nominal)
+    naming, _, found = find_changes(nominal)
     return naming.final.fit, found
 
 

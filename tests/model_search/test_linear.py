@@ -430,3 +430,29 @@ def test_collinear_terms_of_next_to_no_noise_have_an_answer(positive: bool, alwa
         posterior = search(view(size * column[:, 0], [*terms, Term("c", size * column)]), 3)
         assert np.all(np.isfinite(posterior.draw(np.random.default_rng(1), 20).sizes))
         assert np.isfinite(posterior.log_evidence)
+
+
+def test_the_evidence_is_the_same_wherever_a_linear_view_is_linearised() -> None:
+    """A fit that a prior pulls back pays for its deviation, ln N(r; r₀, I + J P⁻¹ Jᵀ)."""
+    rng = np.random.default_rng(20)
+    jacobian, precision = rng.standard_normal((30, 2)), np.array([[4.0, 1.0], [1.0, 9.0]])
+    measured = rng.standard_normal(30) + jacobian @ [1.0, -1.0]
+    cov = np.eye(30) + jacobian @ np.linalg.inv(precision) @ jacobian.T
+    expected = stats.multivariate_normal(np.zeros(30), cov).logpdf(measured)
+    for point in ([0.0, 0.0], [1.0, -1.0], [3.0, 5.0]):
+        lin = view(measured - jacobian @ point, [], jacobian=jacobian, precision=precision)
+        found = search(replace(lin, prior_pull=-precision @ point)).log_evidence
+        assert found - 15.0 * math.log(2.0 * math.pi) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e11])
+def test_strong_evidence_of_one_law_leaves_that_of_another(size: float) -> None:
+    """Beside a law of any size, the odds of a second one are those of the rest of the signal."""
+    rng = np.random.default_rng(21)
+    strong, weak = rng.standard_normal((2, 50, 1))
+    residual = rng.standard_normal(50) + 0.4 * weak[:, 0] + size * strong[:, 0]
+    lin = view(residual, [Term("strong", size * strong), Term("weak", weak)])
+    rest = np.eye(50) - strong @ strong.T / (strong.T @ strong)
+    alone = search(view(rest @ residual, [Term("weak", rest @ weak)]), probability={"weak": 0.25})
+    found = search(lin, probability={"strong": 0.25, "weak": 0.25}).inclusion["weak"]
+    assert found == pytest.approx(alone.inclusion["weak"], abs=0.02)

@@ -20,7 +20,7 @@ from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable, waves_ov
 from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.prediction import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer
-from bayesbl.errors import SimulationError
+from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
@@ -145,11 +145,10 @@ def learned_term(
         ]
         odds = math.log(EXPECTED_HYPOTHESES / max(1, len(possible)))
         for series, sizes in _promised(near.with_derivatives(), possible):
-            with suppress(SimulationError):
+            with suppress(BenchError):
                 extended = _fitted(base, series, sizes)
-                evidence = weighed(extended, noise=noise).log_evidence - without + odds
-                evidence += _log_prior(extended.fit, fit.point.size)
-                fitted.append((evidence, Learned(extended, series.nothing.block, ())))
+                gain = weighed(extended, noise=noise).log_evidence - without
+                fitted.append((gain + odds, Learned(extended, series.nothing.block, ())))
     fitted.sort(key=lambda pair: -pair[0])
     if not fitted or fitted[0][0] < -math.log1p(-NAMED_AT):
         return None
@@ -171,17 +170,6 @@ def _promised(near: Explanation, possible: Sequence[Series]) -> list[tuple[Serie
     promises = [p for series in possible if (p := _promise(near, series, noise)) is not None]
     promises.sort(key=lambda promise: -promise[0])
     return [(series, sizes) for _, series, sizes in promises[:CONTENDERS]]
-
-
-def _log_prior(fit: SimulatedFit, first: int) -> float:
-    """ln prior density of all unknowns from one on, with Laplace's volume of flat ones."""
-    total = 0.0
-    for unknown, x in zip(fit.model.unknowns[first:], fit.point[first:], strict=True):
-        if math.isfinite(unknown.sd):
-            total -= math.log(unknown.sd) + 0.5 * (float(x) / unknown.sd) ** 2
-        else:
-            total -= math.log(unknown.high - unknown.low) - 0.5 * math.log(2.0 * math.pi)
-    return total
 
 
 def _series(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Series]:
