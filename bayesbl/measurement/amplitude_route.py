@@ -7,18 +7,16 @@ the noise of the recording. The gap curve converts the draws of A to draws of δ
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import NeedsBench, RecordingError, ResultError
 from bayesbl.measurement import shared_groups as shared
@@ -46,9 +44,9 @@ from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.checks import moves
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_SPEED, FloatArray, Recording
-from bayesbl.results.intervals import interval
+from bayesbl.results.intervals import Interval
 from bayesbl.results.store import read_tree
-from bayesbl.results.variables import Group, Variable, datasets, labels, table
+from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
@@ -140,12 +138,12 @@ OPTIMUM = Group(
     "optimum",
     table("""
         baseline_rpm (baseline_term) | rpm | load-angle harmonics of the speed
-        rmse_rpm | rpm | root mean square error
-        relative_rmse | 1 | RMSE over the standard deviation of the speed
+        rmse_rpm! | rpm | root mean square error
+        relative_rmse! | 1 | RMSE over the standard deviation of the speed
         evaluations | 1 | model evaluations
         search_seconds | s | time of the search
         covariance (parameter, parameter_) | products of units | sandwich covariance of the optimum
-        impact_sd_rpm (case) | rpm | standard deviation of A from impact to impact, beyond noise
+        impact_sd_rpm! (case) | rpm | standard deviation of A from impact to impact, beyond noise
         impact_loss (case) | 1 | share of A that is lost because impacts come early or late
         rival_amplitude_rpm (rival) | rpm | amplitude at other local optima
         rival_rmse_rpm (rival) | rpm | root mean square error at other local optima
@@ -278,7 +276,10 @@ class AmplitudeMeasurer(CurveMeasurer):
         task: Task,
     ) -> Answer:
         level = task.config.interval.level
-        groups = amplitude_groups(fit, gap, curve, level, seed)
+        groups, numbers = shared.stored(
+            amplitude_groups(fit, gap, curve, level, seed), task.config.interval
+        )
+        groups["optimum"].attrs["method"] = fit.point.optimum.method
         check, unlike = self._against_bench(recording, fit, gap, curve, level)
         unsuitable = unsuited(recording, fit, curve, task.config)
         against = [*reasons_as_printed(fit, curve), *unsuitable, *unlike]
@@ -289,7 +290,7 @@ class AmplitudeMeasurer(CurveMeasurer):
             None if gap is None else gap.delta_rad,
             reasons,
             groups,
-            _numbers(fit, groups["posterior"], task.config.interval),
+            {**numbers, **_numbers(fit, numbers["parameters"])},
             check,
             gap.upper_bound_rad if gap is not None and bounded else None,
         )
@@ -364,19 +365,14 @@ def _ringing_change(
     return np.asarray(last / first - 1.0)
 
 
-def _numbers(fit: Fit, posterior: xr.Dataset, section: IntervalConfig) -> dict[str, Any]:
-    """The snapshot's keys of the summary, with the misfit, the start and the second sampler."""
+def _numbers(fit: Fit, parameters: Mapping[str, Interval]) -> dict[str, Any]:
+    """Further keys of the summary, with the misfit, the start and the second sampler."""
     point, optimum = fit.point, fit.point.optimum
-    parameters = shared.intervals(posterior, (s for s in SYMBOLS if s in posterior), section)
     numbers: dict[str, Any] = {
         "amplitude_rpm": parameters[AMPLITUDE],
-        "parameters": parameters,
         "optimum": {**optimum.symbols, "rmse_rpm": optimum.rmse_rpm},
-        "rmse_rpm": optimum.rmse_rpm,
-        "relative_rmse": optimum.relative_rmse,
         "noise": _noise_summary(point.noise),
         "misfit_rms_rpm": point.misfit.rms_rpm,
-        "impact_sd_rpm": interval(point.spread.impact_sd_rpm, section.level, section.kind),
     }
     if point.start:
         numbers["start"] = point.start
@@ -454,46 +450,39 @@ def prepare(config: SnapshotConfig) -> AmplitudeMeasurer:
 
 def amplitude_groups(
     fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float, seed: np.random.SeedSequence
-) -> dict[str, xr.Dataset]:
-    """All groups of one recording, without a ``snapshot`` dimension."""
+) -> dict[Group, object]:
+    """Data of all groups of one recording."""
     index, point, posterior = _index(fit, gap), fit.point, fit.posterior
-    groups = datasets(
-        {
-            POSTERIOR: (
-                {name: values.ravel()[index] for name, values in posterior.draws.items()},
-                {
-                    "baseline_rpm": posterior.baseline_rpm.reshape(index.size, -1)[index],
-                    "baseline_term": _baseline_terms(fit),
-                },
-                gap,
-            ),
-            SAMPLE_STATS: (
-                {
-                    "lp": posterior.log_likelihood.ravel()[index],
-                    "acceptance_rate": posterior.diagnostics.acceptance,
-                },
-                gap,
-            ),
-            **_noise_only(fit, curve, np.random.default_rng(seed)),
-            **shared.common_groups(
-                point.recording,
-                [MOTOR_SPEED],
-                posterior.diagnostics,
-                {} if gap is None else gap.budget,
-                point.objective.duration_s / point.optimum.symbols[ROTATION],
-            ),
-            PREDICTIVE: _predictive(fit, level),
-            OPTIMUM: (point.optimum, _optimum(fit)),
-            SEARCH_HISTORY: point.optimum.history,
-            NOISE: (
-                point.noise,
-                {"degrees_of_freedom": point.noise.degrees_of_freedom or np.inf},
-            ),
-            MISFIT: point.misfit,
-        }
-    )
-    groups["optimum"].attrs["method"] = point.optimum.method
-    return groups
+    return {
+        POSTERIOR: (
+            {name: values.ravel()[index] for name, values in posterior.draws.items()},
+            {
+                "baseline_rpm": posterior.baseline_rpm.reshape(index.size, -1)[index],
+                "baseline_term": _baseline_terms(fit),
+            },
+            gap,
+        ),
+        SAMPLE_STATS: (
+            {
+                "lp": posterior.log_likelihood.ravel()[index],
+                "acceptance_rate": posterior.diagnostics.acceptance,
+            },
+            gap,
+        ),
+        **_noise_only(fit, curve, np.random.default_rng(seed)),
+        **shared.common_groups(
+            point.recording,
+            [MOTOR_SPEED],
+            posterior.diagnostics,
+            {} if gap is None else gap.budget,
+            point.objective.duration_s / point.optimum.symbols[ROTATION],
+        ),
+        PREDICTIVE: _predictive(fit, level),
+        OPTIMUM: (point.optimum, _optimum(fit)),
+        SEARCH_HISTORY: point.optimum.history,
+        NOISE: (point.noise, {"degrees_of_freedom": point.noise.degrees_of_freedom or np.inf}),
+        MISFIT: point.misfit,
+    }
 
 
 def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:

@@ -19,7 +19,6 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
 from bayesbl.bench.parameters import declaration_of
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
@@ -68,7 +67,7 @@ from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
-from bayesbl.results.variables import Group, Variable, datasets, labels, table
+from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.ringing.cleaning import without_motor_lines
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.units import unit_of
@@ -207,7 +206,9 @@ class DirectMeasurer(Measurer):
         notes = (*texts, *self._beyond_the_bench(match), *self._counted_twice(recording))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
-        groups = direct_groups(posterior, recording, index, generator)
+        groups, numbers = shared.stored(
+            direct_groups(posterior, recording, index, generator), self.config.interval
+        )
         gap = posterior.values(GAP, recording.name)
         reasons = direct_reasons(match, index, notes, level)
         contradicted = any(r.code not in BOUNDED for r in reasons if r.withholds)
@@ -216,7 +217,7 @@ class DirectMeasurer(Measurer):
             gap,
             reasons,
             groups,
-            _numbers(posterior, recording, index, check, groups, self.config.interval),
+            {**numbers, **_numbers(posterior, recording, index, check, groups)},
             match.model_check(recording.name, level),
             None
             if contradicted or excluded_ends(posterior, recording.name) != (False, True)
@@ -386,15 +387,13 @@ def _numbers(
     index: int,
     check: Sequence[RepeatingPower],
     groups: Mapping[str, xr.Dataset],
-    section: IntervalConfig,
 ) -> dict[str, Any]:
-    """The snapshot's keys of the summary, with the bound and the predictive check."""
+    """Further keys of the summary, with the bound and the predictive check."""
     optimum, drawn = groups["optimum"], groups["posterior"]
     names = list(own_unknowns(posterior, recording.name))
     noise = posterior.fit.model.noise[index]
     sd = groups["noise"]["sd"].values.tolist()
     numbers: dict[str, Any] = {
-        "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), section),
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
         "posterior_sd": {n: float(drawn[n].std()) for n in names},
@@ -624,45 +623,39 @@ def direct_groups(
     recording: Recording,
     index: int,
     generator: np.random.Generator,
-) -> dict[str, xr.Dataset]:
-    """All groups of one snapshot, without a ``snapshot`` dimension.
+) -> dict[Group, object]:
+    """Data of all groups of one snapshot.
 
-    Parameters
-    ----------
-    index
-        Place of the recording in the posterior's model.
-    generator
-        For the predictions of prior and posterior.
+    ``index``: place of the recording in the posterior's model; ``generator``: for the predictions
+    of prior and posterior.
     """
     model = posterior.fit.model
     observation, noise = model.recordings[index], model.noise[index]
     channels = list(observation.channels)
-    return datasets(
-        {
-            POSTERIOR: _draws(posterior, recording.name, posterior.draws),
-            SAMPLE_STATS: {
-                "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
-                "acceptance_rate": posterior.diagnostics.acceptance,
-            },
-            **_noise_only(posterior, index, generator),
-            **shared.common_groups(
-                recording,
-                channels,
-                posterior.diagnostics,
-                _budget(posterior, recording.name),
-                observation.samples / observation.sampling_hz / observation.rotation_period_s,
-                effective=posterior.effective,
-                simulated=posterior.simulated,
-                refits=posterior.refits,
-            ),
-            PREDICTIVE: (_predictive(posterior, index), _motion(posterior.fit, index)),
-            OPTIMUM: _optimum(posterior, recording.name),
-            NOISE: (
-                noise,
-                {"innovation_root": noise.root, "channel": channels, "channel_": channels},
-            ),
-        }
-    )
+    return {
+        POSTERIOR: _draws(posterior, recording.name, posterior.draws),
+        SAMPLE_STATS: {
+            "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
+            "acceptance_rate": posterior.diagnostics.acceptance,
+        },
+        **_noise_only(posterior, index, generator),
+        **shared.common_groups(
+            recording,
+            channels,
+            posterior.diagnostics,
+            _budget(posterior, recording.name),
+            observation.samples / observation.sampling_hz / observation.rotation_period_s,
+            effective=posterior.effective,
+            simulated=posterior.simulated,
+            refits=posterior.refits,
+        ),
+        PREDICTIVE: (_predictive(posterior, index), _motion(posterior.fit, index)),
+        OPTIMUM: _optimum(posterior, recording.name),
+        NOISE: (
+            noise,
+            {"innovation_root": noise.root, "channel": channels, "channel_": channels},
+        ),
+    }
 
 
 def own_unknowns(posterior: DirectPosterior, recording: str) -> dict[str, int]:

@@ -22,7 +22,8 @@ class Variable:
     """Declaration of a stored variable or coordinate.
 
     ``unit``: ``"1"`` for a pure number, ``"text"`` for a text. ``meaning``: its long name.
-    ``optional``: whether a group may be stored without it.
+    ``optional``: whether a group may be stored without it. ``told``: whether it is a key of
+    ``summary.json`` too.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Variable:
     unit: str
     meaning: str
     optional: bool = False
+    told: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +62,9 @@ class Group:
 def table(text: str) -> tuple[Variable, ...]:
     """Declare variables by the lines of a table.
 
-    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar. A ``?``
-    behind the name makes it optional, and the unit ``text`` marks texts. Lines that are indented
-    more than the first one continue the line above.
+    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar. Behind the
+    name, ``?`` marks what is optional and ``!`` what is told; the unit ``text`` marks texts. Lines
+    that are indented more than the first one continue the line above.
     """
     rows: list[str] = []
     margin = None
@@ -79,11 +81,12 @@ def table(text: str) -> tuple[Variable, ...]:
 def _declared(head: str, unit: str, meaning: str) -> Variable:
     name, _, dims = head.partition(" (")
     return Variable(
-        name.removesuffix("?"),
+        name.rstrip("?!"),
         tuple(dims.removesuffix(")").split(", ")) if dims else (),
         unit,
         meaning,
-        name.endswith("?"),
+        optional="?" in name,
+        told="!" in name,
     )
 
 
