@@ -16,21 +16,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import PUBLISHED
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
+from bayesbl.curve.sweep import SweepSettings
 from bayesbl.errors import NeedsBench, RecordingError, ResultError
+from bayesbl.matching.observed import reference_speed
+from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.compatibility import bench_of, unsuited
-from bayesbl.measurement.curves import CURVE, CurveMeasurer, curves_group
+from bayesbl.measurement.compatibility import (
+    bench_of,
+    bench_with,
+    other_speed,
+    require_one_speed_of_all,
+    require_same_estimator,
+    unsuited,
+)
+from bayesbl.measurement.curves import CURVE, SweepProblem, curves_group, read_curve
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
     JointCheck,
     Measurement,
+    Measurer,
     Reason,
     Task,
     check_item,
+    estimator_of,
     joint_check,
     outcome_of,
     sampling_reasons,
@@ -42,13 +56,13 @@ from bayesbl.noise.rotation_noise import Noise
 from bayesbl.probabilities import FALSE_ALARM, ends, normal_isf
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
-from bayesbl.recording.checks import moves
+from bayesbl.recording.checks import moves, speed_in_another_unit
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.intervals import Interval
 from bayesbl.results.store import read_tree
 from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
+from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate, nominal_speed_rpm
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
 from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted, speed_at
@@ -74,6 +88,22 @@ MOVES_RINGING = {
 }
 """Features that show controller gains and gravity. The ringing amplitude goes with at most the
 first power of these; friction hardly changes it."""
+
+
+GAPS, START_ANGLES = 20, 4
+"""Gaps and start angles of a curve on demand. Against 60 gaps, 16 start angles and 5 rotations the
+error of δ is far less than the uncertainty by the amplitude (``experiments/curve_counts.py``)."""
+
+MOST_ROTATIONS = 3
+"""Simulated load rotations: more change the fitted amplitude by less than 0.03 % of δ."""
+
+DRAWS_PER_TERM = 3
+"""Swept benches per term of the linear model in the parameters. With 24 benches for seven
+parameters the curve's band is as wide as with 150, within 3 % (same command)."""
+
+DEGREE = 3
+SEED = 20260301
+"""One seed for all curves on demand, so that the store serves runs of every seed."""
 
 
 def _symbol(*dims: str) -> Callable[[str], Variable | None]:
@@ -192,14 +222,58 @@ MISFIT = Group(
 )
 
 
-class AmplitudeMeasurer(CurveMeasurer):
-    """The amplitude route, with its estimator and the source of its gap curves."""
+@dataclass(frozen=True, slots=True)
+class _Need:
+    """What determines the curve of a recording, besides bench file and estimator.
+
+    ``known``: bench values that differed when the recording was made.
+    """
+
+    reference_speed_rpm: float
+    sampling_hz: float
+    rotations: int
+    known: tuple[tuple[str, float], ...]
+
+    def __str__(self) -> str:
+        return f"{self.sampling_hz:g} Hz at {abs(self.reference_speed_rpm):g} rpm"
+
+
+class AmplitudeMeasurer(Measurer):
+    """The amplitude route, with its estimator and the source of its gap curves.
+
+    ``named`` is the published curve, or that of a sweep: one for all recordings. Without one, the
+    ``bench`` is swept for the sampling rate, speed and length of each recording, if there is one.
+
+    Raises
+    ------
+    UserError
+        If the named curve or the bench cannot be read.
+    """
+
+    def __init__(self, config: SnapshotConfig, bench: Bench | None = None) -> None:
+        super().__init__(config)
+        self.estimator = estimator_of(config)
+        self.named: GapCurve | None = None
+        self.bench: Bench | None = None
+        if config.curve.source is not None:
+            is_published = config.curve.source == PUBLISHED
+            self.named = published_curve() if is_published else read_curve(config.curve.source)
+            self.gap_range_rad = self.named.gap_range_rad
+        elif bench is not None or config.estimator.bench is not None:
+            self.bench = bench_of(config) if bench is None else bench
+            self.gap_range_rad = (SMALLEST_GAP_RAD, SweepSettings().high_rad)
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """Yield estimator and curve, and the earlier optimum and second sampler if configured."""
-        estimator = self.estimator
+        estimator, curve = self.estimator, self.named
         yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
-        yield "curve", self.describe_curve
+        if curve is not None:
+            yield "curve", lambda: curve.name
+        elif self.bench is not None:
+            yield "curve", lambda: f"swept from {self.config.estimator.bench} on demand"
+        else:
+            none = "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
+            yield "curve", lambda: none
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
             yield "start from", lambda: f"{', '.join(read_earlier(start_from))} in {start_from}"
@@ -222,32 +296,123 @@ class AmplitudeMeasurer(CurveMeasurer):
                     "--bench` begins one, and `bayesbl identify` of three such motions completes it"
                 ),
             )
-        super().require_usable(recording)
+        if self.named is not None:
+            require_same_estimator(self.named, self.estimator, recording)
+        elif (bench := self.bench_of(recording)) is not None:
+            speed = self._need(recording, bench).reference_speed_rpm
+            require_flank_change(bench, [speed], self.config.estimator.bench)
+
+    def doubts(self, recording: Recording) -> Iterator[Reason]:
+        """Yield why δ would be withheld whatever the fit: the curve belongs to another speed."""
+        if self.named is None or self.config.curve.allow_extrapolation:
+            return
+        if (against := other_speed(recording, self.named)) is not None:
+            if (question := self.question(recording)) is not None:
+                yield question
+            yield against
+
+    def question(self, recording: Recording) -> Reason | None:
+        """Ask whether the speed is in another unit, if that would explain why δ is withheld."""
+        speed_rpm = None if self.named is None else self.named.reference_speed_rpm
+        text = speed_in_another_unit(recording, speed_rpm)
+        return None if text is None else Reason.of_text("speed_unit", text)
+
+    def require_together(self, recordings: Sequence[Recording]) -> str | None:
+        """The speed they share. With a bench, each recording has a curve of its own speed."""
+        if self.bench is not None or len(recordings) < 2:
+            return None
+        require_one_speed_of_all(recordings)
+        return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
+
+    def bench_of(self, recording: Recording) -> Bench | None:
+        """The bench at the time of a recording; ``None`` if no curves are swept from a bench."""
+        if self.bench is None:
+            return None
+        return bench_with(self.bench, self.config.entry_of(recording.name).bench)
+
+    def curves(self, task: Task) -> list[GapCurve]:
+        """The curve of each recording, read or swept, in order; empty without one.
+
+        Raises
+        ------
+        BenchError
+            If a simulation fails.
+        CurveError
+            If A does not grow with δ.
+        """
+        if self.named is not None:
+            return [self.named] * len(task.recordings)
+        if self.bench is None:
+            return []
+        needs = [self._need(recording, self.bench) for recording in task.recordings]
+        curve_of_need = {
+            need: self._swept(need, task, recording)
+            for need, recording in dict(zip(needs, task.recordings, strict=True)).items()
+        }
+        return [curve_of_need[need] for need in needs]
+
+    def _need(self, recording: Recording, bench: Bench) -> _Need:
+        entry = self.config.entry_of(recording.name)
+        speed = reference_speed(recording, bench, entry.reference_speed_rpm)
+        recorded_rotations = recording.duration_s / bench.rotation_period_s(speed)
+        rotations = min(max(int(recorded_rotations), 2), MOST_ROTATIONS)
+        # The fingerprint of an estimator distinguishes rates to three digits.
+        sampling_hz = float(f"{1.0 / recording.sampling_period_s:.3g}")
+        return _Need(speed, sampling_hz, rotations, tuple(sorted(entry.bench.items())))
+
+    def _swept(self, need: _Need, task: Task, recording: Recording) -> GapCurve:
+        bench = self.bench_of(recording)
+        assert bench is not None
+        bench = bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
+        model = self.estimator.model
+        model = replace(model, ranges=model.lasting_ranges)
+        settings = SweepSettings(
+            low_rad=SMALLEST_GAP_RAD,
+            count=GAPS,
+            start_angles=START_ANGLES,
+            rotations=need.rotations,
+            sampling_hz=need.sampling_hz,
+        )
+        problem = SweepProblem(bench, model, settings, SEED, task.swept)
+        report = of_stage(task.progress, f"Making the curve for {need}")
+        if report is not None:
+            report(0, 1)
+        parameters = len(bench.tolerances)
+        curve, _, _ = problem.curve(
+            str(self.config.estimator.bench),
+            DEGREE,
+            self.estimator.fingerprint(recording),
+            abs(need.reference_speed_rpm),
+            DRAWS_PER_TERM * (1 + parameters) if parameters else 0,
+            self.config.run.workers,
+            report,
+        )
+        if report is not None:
+            report(1, 1)
+        return curve
 
     def measure(self, task: Task) -> Measurement:
         """Fit every recording and convert its amplitude to a gap, if there is a curve."""
-        curves = self.curves(task)
-        curve_or_none: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
+        curves, entries = self.curves(task), task.config.recordings
+        curve_or_none: Sequence[GapCurve | None] = curves or [None] * len(entries)
         fits = run_fits(self._jobs(task, curve_or_none), task.config.run.workers, task.progress)
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
         gap_or_none: Sequence[Gap | None] = [None] * len(fits)
         stored = {}
-        if curves is not None:  # all snapshots go through the same draws of the curve
+        if curves:  # all snapshots go through the same draws of the curve
             level = task.config.interval.level
             gap_or_none = read_gaps = gaps(
                 curves,
                 [measured_ringing(fit) for fit in fits],
                 task.seeds.gap,
-                [entry.known_gap for entry in task.config.recordings],
+                [entry.known_gap for entry in entries],
                 allow_extrapolation=task.config.curve.allow_extrapolation,
                 level=level,
             )
             rows = [gap.rows for gap in read_gaps]
-            curve_dataset = curves_group(task.names, curves, rows, level, task.seeds.curve)
-            stored[CURVE.name] = curve_dataset
-        entries = task.config.recordings
+            stored[CURVE.name] = curves_group(task.names, curves, rows, level, task.seeds.curve)
         check = same_joint(
             [fit.point for fit in fits],
             [entry.repaired for entry in entries],
@@ -263,7 +428,7 @@ class AmplitudeMeasurer(CurveMeasurer):
             warnings=curves[0].warnings if curves else (),
             ringing_change=_ringing_change(fits, gap_or_none, curves),
             same_joint=check,
-            change_reason=None if curves is None else change_reason(check),
+            change_reason=change_reason(check) if curves else None,
         )
 
     def _answer(
@@ -353,10 +518,10 @@ class AmplitudeMeasurer(CurveMeasurer):
 
 
 def _ringing_change(
-    fits: Sequence[Fit], gaps_by_curve: Sequence[Gap | None], curves: Sequence[GapCurve] | None
+    fits: Sequence[Fit], gaps_by_curve: Sequence[Gap | None], curves: Sequence[GapCurve]
 ) -> FloatArray | None:
     """Draws of last amplitude / first amplitude − 1, if all recordings share one speed and rate."""
-    if len(fits) < 2 or len({id(curve) for curve in curves or ()}) > 1:
+    if len(fits) < 2 or len({id(curve) for curve in curves}) > 1:
         return None
     first, last = (
         fits[at].posterior.draws[AMPLITUDE].ravel()[_index(fits[at], gaps_by_curve[at])]
@@ -439,13 +604,6 @@ def reasons_of(
     if question is not None and outcome_of(reasons) == "withheld":
         reasons.insert(0, question)
     return reasons
-
-
-def prepare(config: SnapshotConfig) -> AmplitudeMeasurer:
-    """Create the measurer, with the bench if one is configured and no curve is named."""
-    file = config.estimator.bench
-    swept = file is not None and config.curve.source is None
-    return AmplitudeMeasurer(config, bench_of(config) if swept else None)
 
 
 def amplitude_groups(

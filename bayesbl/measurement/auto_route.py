@@ -122,6 +122,3 @@ def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measur
         for direct_answer, answer in zip(direct.answers, amplitude.answers, strict=True)
     ]
     return replace(amplitude, answers=answers)
-
-
-prepare = AutoMeasurer

@@ -123,9 +123,9 @@ class DirectMatch:
 class DirectMeasurer(Measurer):
     """The direct route with its bench."""
 
-    def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
+    def __init__(self, config: SnapshotConfig, bench: Bench | None = None) -> None:
         super().__init__(config)
-        self.bench = bench
+        self.bench = bench_of(config) if bench is None else bench
         self.gap_range_rad = config.estimator.gap_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
@@ -498,11 +498,6 @@ def _change_values(changed: ChangedParameter) -> dict[str, Any]:
         "unit": changed.unit,
         "recording": changed.recording,
     }
-
-
-def prepare(config: SnapshotConfig) -> DirectMeasurer:
-    """Create the measurer with its bench."""
-    return DirectMeasurer(config, bench_of(config))
 
 
 # What is stored.

@@ -544,9 +544,6 @@ def _budget(flanks: Flanks, width: FloatArray, delta: FloatArray) -> dict[str, f
     return {name: value / total for name, value in shares.items()} if total else {}
 
 
-prepare = RampMeasurer
-
-
 # What is stored.
 
 MOST_POINTS = 1500

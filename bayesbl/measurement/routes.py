@@ -1,8 +1,7 @@
 """Routes of measurement by name, and the one function that runs them.
 
-A route is a module. It declares the groups it stores (in a group of its own name), has a row in
-:data:`ROUTES` and a function ``prepare`` that returns its
-:class:`bayesbl.measurement.measurement.Measurer`.
+A route is a module. It declares the groups it stores (in a group of its own name) and has a
+:class:`bayesbl.measurement.measurement.Measurer`, named in :data:`ROUTES`.
 ``auto`` runs two routes and stores the results of the one that answers. If the load's position is
 recorded, the two-encoder route runs beside routes that use the motor alone.
 """
@@ -27,13 +26,13 @@ from bayesbl.recording.types import LOAD_POSITION, Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 ROUTES = {
-    "amplitude": "bayesbl.measurement.amplitude_route",
-    "direct": "bayesbl.measurement.direct_route",
-    "auto": "bayesbl.measurement.auto_route",
-    "torque_ramp": "bayesbl.measurement.ramp_route",
-    "two_encoders": "bayesbl.measurement.two_encoder_route",
+    "amplitude": "amplitude_route.AmplitudeMeasurer",
+    "direct": "direct_route.DirectMeasurer",
+    "auto": "auto_route.AutoMeasurer",
+    "torque_ramp": "ramp_route.RampMeasurer",
+    "two_encoders": "two_encoder_route.TwoEncoderMeasurer",
 }
-"""Module of each route, imported only when it is used."""
+"""Class of each route, in a module that is imported only when it is used."""
 
 
 def measurer_of(config: SnapshotConfig) -> Measurer:
@@ -44,8 +43,9 @@ def measurer_of(config: SnapshotConfig) -> Measurer:
     UserError
         If the bench or the curve cannot be read or used.
     """
-    prepared: Measurer = import_module(ROUTES[config.estimator.route]).prepare(config)
-    return prepared
+    module, _, name = ROUTES[config.estimator.route].partition(".")
+    measurer: Measurer = getattr(import_module(f"bayesbl.measurement.{module}"), name)(config)
+    return measurer
 
 
 def measure(

@@ -141,7 +141,7 @@ class _OfSomeRoutes(TypedDict, total=False):
     compliance_rad_per_nm: Interval
     stiffness_nm_per_rad: Interval
     friction_torque_nm: Interval
-    held_windup_rad: Interval | None
+    held_windup_rad: Interval
     preload_torque_nm: Interval | None
     preloaded: bool
     probability_of_play: float

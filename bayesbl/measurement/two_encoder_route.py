@@ -74,7 +74,7 @@ POSTERIOR = Group(
             play_rad! (chain, draw) | rad | whole play, 2δ
             lost_motion_rad! (chain, draw) | rad
                 | angle between the two directions: play plus wind-up by the load's friction
-            held_windup_rad! (chain, draw) | rad | part of the lost motion that is not play
+            held_windup_rad (chain, draw) | rad | part of the lost motion that is not play
             windup_rad_per_nm! (chain, draw) | rad/(N m)
                 | compliance at the output; NaN where no torque shows it
             gear_ratio! (chain, draw) | 1 | motor over load, with its sign
@@ -194,7 +194,7 @@ class TwoEncoderMeasurer(Measurer):
         )
         for name in OF_PLAY if withheld else ():
             numbers["parameters"].pop(name, None)
-            numbers[name] = None
+            numbers |= {name: None} if name in numbers else {}
         numbers |= {
             "transmission_error": {
                 "peak_to_peak_rad": numbers["parameters"]["transmission_error_rad"],
@@ -359,6 +359,3 @@ def _budget(transmission: Transmission) -> dict[str, float]:
     held = 0.25 * float(np.var(transmission.draws["held_windup_rad"]))
     share = min(held / max(float(np.var(transmission.draws["delta_rad"])), held, 1e-300), 1.0)
     return {"noise": 1.0 - share, "held_windup": share}
-
-
-prepare = TwoEncoderMeasurer

@@ -14,9 +14,9 @@ from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports, swept_curve
+from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports
 from bayesbl.errors import ConfigError
-from bayesbl.measurement.curves import CURVE, MOST_KEPT, STORE, SweepProblem, curve_group
+from bayesbl.measurement.curves import CURVE, STORE, SweepProblem, curve_group
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
@@ -126,29 +126,19 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     require_drawable(config, bench)
     rows = WorkStore.shared(config.run.output.parent / STORE, fresh=options.force)
     problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, rows)
-    nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
-        4
-    )
-    rows.keep_latest(count=MOST_KEPT)
-    workers = config.run.workers
-    nominal = problem.nominal(nominal_seed, workers)
-    report = of_stage(options.progress, "Simulating bench draws")
-    swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, report)
     # Of the sweep's sampling and the bench's speed.
     recording = bench.simulate(
         config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )
-    fingerprint = Estimator(model=problem.model).fingerprint(recording)
-    curve = swept_curve(
+    curve, nominal, swept = problem.curve(
         str(config.run.output),
-        nominal,
-        problem.model,
         config.sweep.degree,
-        fingerprint,
-        curve_seed,
-        swept,
+        Estimator(model=problem.model).fingerprint(recording),
+        nominal_speed_rpm(recording),
+        config.sweep.bench_draws,
+        config.run.workers,
+        of_stage(options.progress, "Simulating bench draws"),
     )
-    curve = replace(curve, reference_speed_rpm=nominal_speed_rpm(recording))
     if (first := nominal.gap_rad[0]) > problem.settings.gap_rad[0]:
         leaps = f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing"
         curve = replace(curve, warnings=(f"{leaps}, and the curve begins there.",))
@@ -165,6 +155,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
             "parameter": list(swept.names),
             "quantity": ["ln_amplitude", "ln_frequency", "ln_decay"],
         }
+    *_, band_seed = np.random.SeedSequence(config.run.seed).spawn(4)
     of_curve = {CURVE.name: curve_group(curve, config.interval.level, band_seed)}
     tree = xr.DataTree.from_dict({**datasets(groups), **of_curve})
     tree.attrs = {

@@ -27,4 +27,4 @@ def test_a_line_of_a_table_is_all_that_a_number_takes(
     tree = measure(config_from_options("fit", [file], route="torque_ramp", seed=1))
     stored = tree["torque_ramp/cycles"]["left_by_larger"]
     assert stored.attrs["long_name"] == added.meaning
-    assert summary_of(tree)["left_by_larger"] == float(stored) > 1.0
+    assert summary_of(tree)["left_by_larger"] == float(stored)

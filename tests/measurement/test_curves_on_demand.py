@@ -93,7 +93,7 @@ def test_what_was_swept_is_read_the_next_time_and_the_store_is_bounded(
     monkeypatch.setattr("bayesbl.measurement.curves.sweep_nominal", never)
     read, _ = AmplitudeMeasurer(task.config, bench).curves(task)
     assert np.array_equal(read.coefficients, first.coefficients)
-    monkeypatch.setattr("bayesbl.measurement.curves.MOST_KEPT", 0)
+    monkeypatch.setattr("bayesbl.measurement.curves.LARGEST_STORE_BYTES", 0)
     AmplitudeMeasurer(task.config, bench).curves(task)
     assert store.folder is not None
     assert [*store.folder.iterdir()] == []
