@@ -1,9 +1,12 @@
-"""Run the direct and the amplitude route in full; one of them answers for all snapshots.
+"""Several routes for the same recordings; one of them answers for all snapshots.
 
 The change between snapshots thus lies within one route. With a bench the direct route answers if
 its checks pass, with the amplitude beside it. The amplitude answers if the direct route could not
 be sampled or a recording cannot be compared with the simulation. If a recording contradicts the
 bench, neither answers, because the curve belongs to that bench too.
+
+Where the load's position is recorded, the two-encoder route is a witness beside the others. It
+needs no bench, so an error of the bench shows as a disagreement.
 """
 
 from __future__ import annotations
@@ -11,15 +14,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
+from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
-from bayesbl.measurement.measurement import ExpectedSd, Measurement, Measurer, Reason, Task
-from bayesbl.measurement.witness import disagreement
-from bayesbl.recording.checks import moves
-from bayesbl.recording.types import Recording
+from bayesbl.measurement.measurement import Answer, ExpectedSd, Measurement, Measurer, Reason, Task
+from bayesbl.measurement.two_encoder_route import CHANNELS, TwoEncoderMeasurer
+from bayesbl.measurement.two_encoder_route import NAME as WITNESS
+from bayesbl.probabilities import FALSE_ALARM, normal_isf
+from bayesbl.recording.checks import moves, require_alive
+from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 
 class AutoMeasurer(Measurer):
@@ -38,15 +47,16 @@ class AutoMeasurer(Measurer):
         yield from self.amplitude.describe()
 
     def require_usable(self, recording: Recording) -> None:
-        """Require that the deciding route can measure; the direct route alone may fail."""
+        """Require that the deciding route can measure."""
         self._of([recording]).require_usable(recording)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Check comparability for the amplitude route; the direct route compares any recordings."""
+        """As the deciding route."""
         return self._of(recordings).require_together(recordings)
 
     def _of(self, recordings: Sequence[Recording]) -> Measurer:
-        """The route that decides what can be measured: only the direct route measures motions."""
+        """The route that decides what can be measured: only the direct route measures motions. It
+        compares any recordings, and may fail where the amplitude does not."""
         return self.direct if any(map(moves, recordings)) else self.amplitude
 
     def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
@@ -122,3 +132,84 @@ def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measur
         for direct_answer, answer in zip(direct.answers, amplitude.answers, strict=True)
     ]
     return replace(amplitude, answers=answers)
+
+
+def disagreement(first: Measurement, second: Measurement, **values: object) -> Reason | None:
+    """Why the change is withheld: both routes answer and differ; ``values`` go to the sentence."""
+    pairs = [
+        (first_answer.name, first_answer.delta_rad, second_answer.delta_rad)
+        for first_answer, second_answer in zip(first.answers, second.answers, strict=True)
+        if not (first_answer.is_withheld or second_answer.is_withheld)
+        if first_answer.delta_rad is not None and second_answer.delta_rad is not None
+    ]
+    if not pairs:
+        return None
+    bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
+    differing = [name for name, *gaps in pairs if abs(_standard_difference(*gaps)) > bound]
+    return Reason("routes_disagree", {"names": differing, **values}) if differing else None
+
+
+def _standard_difference(first: FloatArray, second: FloatArray) -> float:
+    """Standardised difference of ln δ between two routes, as if their gaps (rad) were independent.
+
+    For gaps far below ``SMALLEST_GAP_RAD`` it is the difference of δ itself. Both routes share the
+    tolerances of the bench. The true standard deviation is therefore smaller, and the alarm rarer
+    than its level.
+    """
+    first, second = (np.log(SMALLEST_GAP_RAD + gap_rad) for gap_rad in (first, second))
+    sd = float(np.hypot(first.std(), second.std()))
+    return float(first.mean() - second.mean()) / sd
+
+
+def with_witness(measured: Measurement, task: Task) -> Measurement:
+    """Add the two-encoder measurement as a witness, or the reason why it cannot be run.
+
+    The answer stays. A disagreement withholds the change, as between other routes.
+    """
+    measurer = TwoEncoderMeasurer(_with_gear_ratio(task.config))
+    recordings = tuple(map(_of_both_encoders, task.recordings))
+    try:
+        for recording in recordings:
+            require_alive(recording, CHANNELS)
+            measurer.require_usable(recording)
+    except RecordingError as refusal:
+        refused = {**measured.refused, WITNESS: Reason.of_text(refusal.code, str(refusal))}
+        return replace(measured, refused=refused)
+    witness = measurer.measure(replace(task, recordings=recordings))
+    bounded = replace(witness, answers=[within_bound(answer) for answer in witness.answers])
+    return replace(
+        measured,
+        beside=(*measured.beside, witness),
+        change_reason=disagreement(measured, bounded, witness=True) or measured.change_reason,
+        why=Reason("witnessed") if measured.why.code == "only_route" else measured.why,
+    )
+
+
+def _with_gear_ratio(config: SnapshotConfig) -> SnapshotConfig:
+    """Use the gear ratio of the bench if the joint states none."""
+    if config.joint.gear_ratio is not None or config.estimator.bench is None:
+        return config
+    known = {"gear_ratio": bench_of(config).value("gear_ratio")}
+    return config.model_copy(update={"joint": config.joint.model_copy(update=known)})
+
+
+def _of_both_encoders(recording: Recording) -> Recording:
+    """Drop repaired samples; integrate the speed if the motor's position is missing."""
+    channels, notes = dict(recording.channels), recording.notes
+    if MOTOR_POSITION not in channels:
+        from scipy.integrate import cumulative_trapezoid
+
+        speed = recording.motor_speed_rpm / RPM_PER_RAD_PER_S
+        channels[MOTOR_POSITION] = cumulative_trapezoid(speed, recording.time_s, initial=0.0)
+        notes = (*notes, "The motor's position is its speed, integrated.")
+    if (repaired := recording.excluded) is None:
+        return replace(recording, channels=channels, notes=notes)
+    kept = {name: values[~repaired] for name, values in channels.items()}
+    time_s = recording.time_s[~repaired]
+    return replace(recording, time_s=time_s, channels=kept, notes=notes, excluded=None)
+
+
+def within_bound(answer: Answer) -> Answer:
+    """Replace δ by equally spaced gaps from 0 to its bound, rad, if the gap may be zero."""
+    bound = answer.upper_bound_rad
+    return answer if bound is None else replace(answer, delta_rad=np.linspace(0.0, bound, 1000))

@@ -16,20 +16,28 @@ import xarray as xr
 
 from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.bench.effects import effect_named
+from bayesbl.bench.kernel import Slot
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
 from bayesbl.bench.parameters import declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import RecordingError
-from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.motions import flank_changes
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.least_squares import SimulatedFit, fit_at
+from bayesbl.matching.motions import flank_changes, noise_of, remembered_start
+from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed, standstills
 from bayesbl.matching.posterior import MATTERS, DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, standing_out
-from bayesbl.matching.signals import GAP, REFERENCE_DELAY, SMALLEST_GAP_RAD, START_ANGLE, Unknown
+from bayesbl.matching.signals import (
+    GAP,
+    REFERENCE_DELAY,
+    SMALLEST_GAP_RAD,
+    START_ANGLE,
+    SimulatedSignals,
+    Unknown,
+)
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with
-from bayesbl.measurement.expected_width import expected_sds
 from bayesbl.measurement.measurement import (
+    UPPER_BOUND_LEVEL,
     Answer,
     CheckItem,
     ExpectedSd,
@@ -46,23 +54,19 @@ from bayesbl.measurement.measurement import (
     sampling_reasons,
     upper_bound,
 )
-from bayesbl.measurement.motion_verdict import (
-    excluded_ends,
-    motion_notes,
-    unknown_start,
-    unseen_gap,
-)
 from bayesbl.measurement.summary_types import PredictiveCheckEntry
 from bayesbl.model_search.always_in import (
     CHANGED_TOGETHER,
+    Direction,
     directions,
     edge_variances,
+    linearised_fit,
     with_friction,
 )
 from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.noise.outside_lines import without_outside_lines
-from bayesbl.probabilities import ends
+from bayesbl.probabilities import TOO_FEW, ends
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
@@ -70,7 +74,7 @@ from bayesbl.results.provenance import file_sha256
 from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.ringing.cleaning import without_motor_lines
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.units import unit_of
+from bayesbl.units import RPM_PER_RAD_PER_S, unit_of
 
 WHOLE_ORDER = 0.03
 """Distance from a whole number above which a line's order is not whole: several times the
@@ -81,6 +85,16 @@ BOUNDED = ("gap_unseen",)
 
 EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
 """Gaps of a new, a used and a worn reducer."""
+
+EXPECTED_DRAWS = 1000
+"""Draws of the marginalised directions: they give a standard deviation to 2 %."""
+
+EXCLUDED_END = 0.1
+"""A recording excludes an end of the range of ln δ if the outer ``EXCLUDED_END`` of it holds less
+than ``TOO_FEW`` of the posterior (a flat posterior: 0.1). Then δ has a bound."""
+
+REMEMBERED = 1.0
+"""Largest χ² that an unknown start may leave: it moves δ by at most one standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -420,6 +434,140 @@ def _numbers(
             "compared_from_s": float(motion["compared_from_s"]),
         }
     return numbers
+
+
+# What is expected before a fit.
+
+
+def expected_sds(
+    bench: Bench,
+    recordings: Sequence[Observed],
+    unknowns: Sequence[Unknown],
+    among: Sequence[Direction],
+    gaps_rad: Sequence[float],
+) -> list[ExpectedSd]:
+    """Expected posterior standard deviations at each of these gaps, before any fit.
+
+    The posterior is linearised at the true value: its width follows from the derivatives of the
+    simulation and from the noise between rotations, or cycles of a motion. The laws ``among`` which
+    the bench may lack, and drift, are included as in an answer; the error of a wrong bench is not.
+    Of the recordings, only noise, length and motion matter. Raises RecordingError if one is too
+    short to estimate its noise, and SimulationError if the bench cannot be simulated at a gap.
+    """
+    noise = [noise_of(observations, observations.signals) for observations in recordings]
+    observations = [marginalising_motor_lines(recording, bench) for recording in recordings]
+    model = SimulatedSignals(bench, observations, unknowns, noise, 1)
+    return [_at(model, gap_rad, among) for gap_rad in gaps_rad]
+
+
+def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> ExpectedSd:
+    gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
+    point = np.array([_expected_value(unknown) for unknown in model.unknowns])
+    point[gaps] = [float(model.unknowns[k].coordinate(np.array(gap_rad))) for k in gaps]
+    model.require(point)
+    # Use the simulation itself as data, so that the residuals are zero.
+    simulated = [
+        replace(observation, signals=model.signals(point, place)[0])
+        for place, observation in enumerate(model.recordings)
+    ]
+    fit = fit_at(replace(model, recordings=simulated), point)
+    drawn = (
+        linearised_fit(fit, among).posterior.draw(np.random.default_rng(0), EXPECTED_DRAWS).shift
+    )
+    covariance = fit.covariance + np.cov(drawn.T)
+    slope_rad = float(model.unknowns[gaps[0]].slope(np.array(gap_rad)))
+
+    def sd_rad(toward: Mapping[int, float]) -> float:
+        weights = np.zeros(point.size)
+        weights[list(toward)] = list(toward.values())
+        return slope_rad * math.sqrt(float(weights @ covariance @ weights))
+
+    first, last = gaps[0], gaps[-1]
+    change = sd_rad({first: -1.0, last: 1.0}) if last != first else None
+    return ExpectedSd(gap_rad, max(sd_rad({k: 1.0}) for k in gaps), change)
+
+
+def _expected_value(unknown: Unknown) -> float:
+    """Mean of the prior for a one-sided unknown, else its middle. At its bound, derivatives toward
+    the other side would be missed."""
+    if unknown.low == unknown.centre and math.isfinite(unknown.sd):
+        return unknown.centre + unknown.sd * math.sqrt(2.0 / math.pi)
+    return unknown.middle
+
+
+# What a motion shows of its gap.
+
+
+def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
+    """Why a motion does not determine δ of a recording, with the bound it leaves; ``None`` if it
+    does or turns at constant speed."""
+    fit = posterior.fit
+    observation = fit.model.recordings[index]
+    if observation.motion is None or flank_changes(fit, index):
+        return None
+    values: dict[str, float | bool] = {"pull_rpm_per_s": largest_pull(fit, index)}
+    is_larger, is_smaller = excluded_ends(posterior, observation.name)
+    if is_larger != is_smaller:
+        share = 1.0 - UPPER_BOUND_LEVEL if is_larger else UPPER_BOUND_LEVEL
+        bound_rad = float(np.quantile(posterior.values(GAP, observation.name), share))
+        values |= {"is_larger": is_larger, "level": UPPER_BOUND_LEVEL, "bound_rad": bound_rad}
+    return Reason("gap_unseen", values)
+
+
+def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:
+    """Why the unknown start of a motion leaves δ unknown; ``None`` if it does not."""
+    observation = fit.model.recordings[index]
+    if (
+        observation.motion is None
+        or remembered_start(fit, index)[observation.first_compared] <= REMEMBERED
+    ):
+        return None
+    return Reason("start_unknown")
+
+
+def largest_pull(fit: SimulatedFit, index: int) -> float:
+    """Smallest motor acceleration, rpm/s, that would lift the load off its flank anywhere in this
+    motion: the minimum of N |m g l sin(θ + φ_g)| / J_l."""
+    model, observation = fit.model, fit.model.recordings[index]
+    assert observation.motion is not None
+    row = model.vectors(fit.point[None], observation)[0]
+    time = np.arange(observation.samples) / observation.sampling_hz
+    angle = row[Slot.start_angle_rad] + observation.motion.position_rad(time) / row[Slot.gear_ratio]
+    pull = np.abs(row[Slot.gravity_torque_nm] * np.sin(angle + row[Slot.gravity_angle_rad]))
+    smallest = row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2]
+    return float(smallest * RPM_PER_RAD_PER_S)
+
+
+def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, bool]:
+    """Whether a recording excludes the lower and the upper end of the range of its δ."""
+    model = posterior.fit.model
+    place = model.index(GAP, recording)
+    unknown, draws = model.unknowns[place], posterior.draws[..., place]
+    end = EXCLUDED_END * (unknown.high - unknown.low)
+    at_low = float(np.mean(draws < unknown.low + end))
+    at_high = float(np.mean(draws > unknown.high - end))
+    return at_low < TOO_FEW, at_high < TOO_FEW
+
+
+def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
+    """Yield notes on how a motion was compared."""
+    observation = fit.model.recordings[index]
+    if observation.motion is None:
+        return
+    if observation.cycle is None:
+        yield Reason("motion_once")
+    if all(u.name != REFERENCE_DELAY for u in fit.model.unknowns):
+        yield Reason("reference_held")
+    first_compared = observation.first_compared
+    at_rest = standstills(observation, fit.model.bench)[first_compared:]
+    if (
+        observation.excluded is not None
+        and at_rest.any()
+        and observation.excluded[first_compared:][at_rest].all()
+    ):
+        yield Reason("standstills_left_out")
+    if first_compared > 0:
+        yield Reason("start_left_out", {"begin_s": first_compared / observation.sampling_hz})
 
 
 # What is reported of the joint: items, findings, blind spots.

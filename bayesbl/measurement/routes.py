@@ -91,7 +91,7 @@ def measure(
     measured = measurer.measure(task)
     has_load = all(LOAD_POSITION in recording.channels for recording in recordings)
     if has_load and measured.route not in WITHOUT_BENCH:
-        from bayesbl.measurement.witness import with_witness
+        from bayesbl.measurement.auto_route import with_witness
 
         measured = with_witness(measured, task)
     return measurement_tree(measured, task)
