@@ -246,7 +246,7 @@ def sweep(
 ) -> SweepResult:
     """Simulate a bench over a range of gaps, as a configuration states, to make its gap curve.
 
-    Only the simulations are written, into ``.curves`` beside the output, for other sweeps.
+    Only the simulations are written, into ``.finished`` beside the output, for other sweeps.
 
     Raises
     ------

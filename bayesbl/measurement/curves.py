@@ -326,8 +326,8 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
     return row
 
 
-STORE = ".curves"
-"""Folder beside the results that stores swept rows."""
+STORE = ".finished"
+"""Folder beside the results that stores swept rows and fits, for later runs."""
 
 LARGEST_STORE_BYTES = 500_000_000
 """Size of the store, with some 10 kB a row; the oldest entries are deleted first."""

@@ -17,7 +17,7 @@ from bayesbl.measurement.compatibility import (
     require_different,
     require_plausible_limit,
 )
-from bayesbl.measurement.curves import STORE
+from bayesbl.measurement.curves import LARGEST_STORE_BYTES, STORE
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.probabilities import normal_isf
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Measure; gap curves are kept beside the output folder."""
-    swept = WorkStore.shared(config.run.output.parent / STORE)
-    if config.estimator.bench is not None and swept.folder is None:
-        options.say(
-            f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
-        )
-    return measure(
-        config, options.progress, work, options.say, swept, recordings=options.recordings
-    )
+    """Measure; fits and curves are kept beside the output folder, so a later run with other dates
+    or another limit need not make them again."""
+    kept = WorkStore.shared(config.run.output.parent / STORE)
+    if kept.folder is None:
+        options.say(f"{config.run.output.parent / STORE} may be of somebody else: nothing is kept.")
+        kept = work
+    tree = measure(config, options.progress, kept, options.say, kept, recordings=options.recordings)
+    kept.keep_latest(size_bytes=LARGEST_STORE_BYTES)
+    return tree
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:

@@ -457,7 +457,7 @@ def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_s
     tmp_path: Path,  # type: ignore[no-untyped-def]
 ) -> None:
     folder, config, first = tolerant_sweep
-    cache = folder / "out" / ".curves"
+    cache = folder / "out" / ".finished"
     made = {path.name: path.stat().st_mtime_ns for path in cache.iterdir()}
     assert len(made) == 25
     again = result_of_run(config)
@@ -500,7 +500,7 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
 
 def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: ignore[no-untyped-def]
     folder, config, first = tolerant_sweep
-    entry = sorted((folder / "out" / ".curves").iterdir())[0]
+    entry = sorted((folder / "out" / ".finished").iterdir())[0]
     entry.write_bytes(entry.read_bytes()[:100])
     again = result_of_run(config)
     np.testing.assert_array_equal(
