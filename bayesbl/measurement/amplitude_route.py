@@ -244,10 +244,7 @@ class AmplitudeMeasurer(Measurer):
     ``named`` is the published curve, or that of a sweep: one for all recordings. Without one, the
     ``bench`` is swept for the sampling rate, speed and length of each recording, if there is one.
 
-    Raises
-    ------
-    UserError
-        If the named curve or the bench cannot be read.
+    Raises UserError if the named curve or the bench cannot be read.
     """
 
     def __init__(self, config: SnapshotConfig, bench: Bench | None = None) -> None:
@@ -333,12 +330,7 @@ class AmplitudeMeasurer(Measurer):
     def curves(self, task: Task) -> list[GapCurve]:
         """The curve of each recording, read or swept, in order; empty without one.
 
-        Raises
-        ------
-        BenchError
-            If a simulation fails.
-        CurveError
-            If A does not grow with δ.
+        Raises BenchError if a simulation fails, and CurveError if A does not grow with δ.
         """
         if self.named is not None:
             return [self.named] * len(task.recordings)
@@ -582,14 +574,9 @@ def reasons_of(
 ) -> list[Reason]:
     """List the reasons and notes of one snapshot's answer, the gravest first.
 
-    Parameters
-    ----------
-    gap
-        ``None`` without a curve: the answer is then the amplitude of the ringing.
-    unsuited
-        Reasons other than those of the fit and of the gap.
-    question
-        What to ask the user before anything else if δ is withheld.
+    ``gap``: ``None`` without a curve: the answer is then the amplitude of the ringing.
+    ``unsuited``: reasons other than those of the fit and of the gap. ``question``: what to ask the
+    user before anything else if δ is withheld.
     """
     sampling = sampling_reasons(fit.posterior.diagnostics)
     notes = [Reason.of_text("mended", text) for text in fit.point.notes]
@@ -769,10 +756,7 @@ def _optimum(fit: Fit) -> dict[str, object]:
 def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
     """Optima of a fit or a comparison, by name of the recording, in order.
 
-    Raises
-    ------
-    ResultError
-        If the result cannot be read, or has no optimum of the ringing.
+    Raises ResultError if the result cannot be read, or has no optimum of the ringing.
     """
     tree = read_tree(path)
     if NAME not in routes_of(tree):

@@ -66,10 +66,7 @@ class AutoMeasurer(Measurer):
     def measure(self, task: Task) -> Measurement:
         """Measure by both routes and choose the one that answers.
 
-        Raises
-        ------
-        UserError
-            If neither can measure these recordings.
+        Raises UserError if neither can measure these recordings.
         """
         if any(map(moves, task.recordings)):
             return replace(self.direct.measure(task), why=Reason("motion"))

@@ -37,12 +37,9 @@ LASTING = {
 def bench_of(config: SnapshotConfig) -> Bench:
     """Read and check the bench of the joint.
 
-    Raises
-    ------
-    ConfigError
-        If there is no bench, it has no gap to measure, or it lacks a parameter that may drift.
-    BenchError
-        If the bench of a recording makes no physical sense, or cannot be simulated.
+    Raises ConfigError if there is no bench, it has no gap to measure, or it lacks a parameter that
+    may drift, and BenchError if the bench of a recording makes no physical sense, or cannot be
+    simulated.
     """
     file = config.estimator.bench
     if file is None:
@@ -82,10 +79,7 @@ def bench_of(config: SnapshotConfig) -> Bench:
 def bench_with(bench: Bench, known: Mapping[str, float]) -> Bench:
     """Replace the values of parameters and of effects' parameters (``effect.parameter``).
 
-    Raises
-    ------
-    BenchError
-        If a value makes no physical sense.
+    Raises BenchError if a value makes no physical sense.
     """
     effects = [
         BenchEffect(
@@ -163,10 +157,7 @@ LIMIT_BEYOND = 10.0
 def limit_rad_of(config: SnapshotConfig) -> float | None:
     """The limit of δ, rad, however it is stated; ``None`` without one.
 
-    Raises
-    ------
-    ConfigError
-        If the joint's wind-up is not known, or leaves no room for a gap.
+    Raises ConfigError if the joint's wind-up is not known, or leaves no room for a gap.
     """
     limit = config.joint.limit
     return config.joint.limit_rad if limit is None else limit.delta_rad(windup_rad_of(config))
@@ -251,10 +242,8 @@ def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Rec
 def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
     """Require that all snapshots have one speed, in either direction.
 
-    Raises
-    ------
-    RecordingError
-        If not: the same gap rings differently at another speed, and that would pass for wear.
+    Raises RecordingError if not: the same gap rings differently at another speed, and that would
+    pass for wear.
     """
     first = recordings[0]
     for other in recordings[1:]:

@@ -103,12 +103,8 @@ def curves_group(
 ) -> xr.Dataset:
     """Group :data:`CURVE` of a measurement.
 
-    Parameters
-    ----------
-    curves
-        One per recording. Different curves are stacked over the union of their amplitude ranges.
-    rows
-        For each recording, by source, the curve draw that each draw of δ used.
+    ``curves``: one per recording. Different curves are stacked over the union of their amplitude
+    ranges. ``rows``: for each recording, by source, the curve draw that each draw of δ used.
     """
     if all(curve is curves[0] for curve in curves):
         return curve_group(curves[0], level, seed, rows[0])
@@ -200,12 +196,8 @@ def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
 def read_curve(path: str | Path) -> GapCurve:
     """Read the gap curve from the result of a sweep.
 
-    Raises
-    ------
-    ResultError
-        If the file is missing, damaged or unfinished.
-    CurveError
-        If the result holds no curve.
+    Raises ResultError if the file is missing, damaged or unfinished, and CurveError if the result
+    holds no curve.
     """
     tree = read_tree(path)
     if CURVE.name not in tree.children:
@@ -243,12 +235,8 @@ class SweepProblem:
         The curve belongs to ``speed_rpm``. The drawn benches depend on bench, count and seed alone,
         so two problems of one bench at different speeds or rates draw the same ones.
 
-        Raises
-        ------
-        BenchError
-            If a simulation fails, or cannot be fitted.
-        CurveError
-            If A does not grow with δ.
+        Raises BenchError if a simulation fails, or cannot be fitted, and CurveError if A does not
+        grow with δ.
         """
         nominal_seed, draw_seed, curve_seed = np.random.SeedSequence(self.seed).spawn(3)
         generator = np.random.default_rng(nominal_seed)

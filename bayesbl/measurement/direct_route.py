@@ -277,10 +277,7 @@ def require_unshaken(recording: Recording, bench: Bench) -> None:
     Lines at whole orders of the load or the motor are part of the simulation, as are all lines if
     the bench has periodic effects.
 
-    Raises
-    ------
-    RecordingError
-        If there are other lines, with their frequencies.
+    Raises RecordingError if there are other lines, with their frequencies.
     """
     if moves(recording) or any(effect_named(e.name).is_periodic for e in bench.effects):
         return

@@ -50,15 +50,9 @@ class Seeds:
 class Task:
     """Recordings to be measured, with seeds, progress callbacks and stores.
 
-    Attributes
-    ----------
-    work
-        Stores finished steps, and returns those that an earlier run finished.
-    say
-        Called with a sentence on what each search started from, if it started from an earlier
-        optimum.
-    swept
-        Stores the rows of swept benches, for this run and others.
+    ``work``: stores finished steps, and returns those that an earlier run finished. ``say``: called
+    with a sentence on what each search started from, if it started from an earlier optimum.
+    ``swept``: stores the rows of swept benches, for this run and others.
     """
 
     config: SnapshotConfig
@@ -78,10 +72,7 @@ class Task:
 def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
     """Read the recording of an entry and prepare it for a fit.
 
-    Raises
-    ------
-    RecordingError
-        If it cannot be read, or lacks what a fit needs.
+    Raises RecordingError if it cannot be read, or lacks what a fit needs.
     """
     columns = config.column_specs
     recording = with_speed(read_recording(entry.file, name=entry.name, columns=columns))

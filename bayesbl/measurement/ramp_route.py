@@ -92,13 +92,8 @@ SOFTER = blind_spot("softer_flanks_unseen")
 class HeldCompliance:
     """Friction and compliance of a snapshot, and the gap, for the comparison with others.
 
-    Attributes
-    ----------
-    draws
-        Draws of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`COMPARED`, rad and
-        N m.
-    measured
-        The quantities in :data:`COMPARED`, by file and cycle.
+    ``draws``: draws of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`COMPARED`,
+    rad and N m. ``measured``: the quantities in :data:`COMPARED`, by file and cycle.
     """
 
     draws: Mapping[str, FloatArray]
@@ -295,10 +290,8 @@ class RampMeasurer(Measurer):
     def _flanks(self, recording: Recording) -> tuple[tuple[Ramps, ...], Flanks]:
         """The ramps of each file and the flanks that they show, at the output.
 
-        Raises
-        ------
-        RecordingError
-            If the torque does not go to both sides of zero and back at least once.
+        Raises RecordingError if the torque does not go to both sides of zero and back at least
+        once.
         """
         torque = recording.channels[MOTOR_TORQUE] * self._ratio
         position = recording.channels[MOTOR_POSITION] / self._ratio

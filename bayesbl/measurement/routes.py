@@ -38,10 +38,7 @@ ROUTES = {
 def measurer_of(config: SnapshotConfig) -> Measurer:
     """Prepare the configured route, and read its bench and curve.
 
-    Raises
-    ------
-    UserError
-        If the bench or the curve cannot be read or used.
+    Raises UserError if the bench or the curve cannot be read or used.
     """
     module, _, name = ROUTES[config.estimator.route].partition(".")
     measurer: Measurer = getattr(import_module(f"bayesbl.measurement.{module}"), name)(config)
@@ -59,25 +56,12 @@ def measure(
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
-    Parameters
-    ----------
-    progress, work, say, swept
-        As of :class:`bayesbl.measurement.measurement.Task`.
-    seeds
-        Seeds of the run; by default from the configuration.
-    recordings
-        The configured recordings as this route reads them; by default they are read here.
-
-    Returns
-    -------
-    The whole result; only finished steps are written to ``work`` and ``swept``.
-
-    Raises
-    ------
-    UserError
-        If a recording, the bench or the curve cannot be read or used, the curve does not belong to
-        the estimator, the earlier result has no optimum to start from, or the second sampler is not
-        installed.
+    ``progress``, ``work``, ``say``, ``swept``: as of :class:`bayesbl.measurement.measurement.Task`.
+    ``seeds``: seeds of the run; by default from the configuration. ``recordings``: the configured
+    recordings as this route reads them; by default they are read here. Returns the whole result;
+    only finished steps are written to ``work`` and ``swept``. Raises UserError if a recording, the
+    bench or the curve cannot be read or used, the curve does not belong to the estimator, the
+    earlier result has no optimum to start from, or the second sampler is not installed.
     """
     measurer = measurer_of(config)
     require_plausible_limit(limit_rad_of(config), measurer.gap_range_rad)

@@ -158,20 +158,11 @@ def common_groups(
 ) -> dict[Group, object]:
     """Data of the groups that every route stores for a recording, without ``snapshot``.
 
-    Parameters
-    ----------
-    recording
-        As it was compared.
-    observed
-        Names of the channels that the route used; all others are constant data.
-    budget
-        Share of each source in the variance of ln δ.
-    rotations
-        Load rotations in the recording; 0 if the route counts none.
-    file
-        File number of each sample, for a snapshot of several files; shape (n,).
-    simulated
-        Optional variables of :data:`DIAGNOSTICS` for draws that were simulated in full.
+    ``recording``: as it was compared. ``observed``: names of the channels that the route used; all
+    others are constant data. ``budget``: share of each source in the variance of ln δ.
+    ``rotations``: load rotations in the recording; 0 if the route counts none. ``file``: file
+    number of each sample, for a snapshot of several files; shape (n,). ``simulated``: optional
+    variables of :data:`DIAGNOSTICS` for draws that were simulated in full.
     """
     names = list(observed)
     excluded = np.zeros(recording.samples) if recording.excluded is None else recording.excluded

@@ -246,12 +246,8 @@ def _interval(draws: FloatArray, config: SnapshotConfig) -> Interval:
 class Snapshot:
     """The stored answer of one route for one recording.
 
-    Attributes
-    ----------
-    route
-        Tree of the route, with the groups of all recordings.
-    summary
-        Part of the summary for this route and recording, without sentences.
+    ``route``: tree of the route, with the groups of all recordings. ``summary``: part of the
+    summary for this route and recording, without sentences.
     """
 
     name: str

@@ -105,12 +105,9 @@ def by_law(share: FloatArray) -> dict[str, float]:
 class Laws:
     """Laws of wear, one per particle, in regimes from the first snapshot on.
 
-    Attributes
-    ----------
-    rows
-        Shape (1 + 3 regimes, particle): the age at the first snapshot in spans; for each regime
-        ln(age at its start / age at the first snapshot), ascending, the first 0; the exponent of
-        each; the factor by which the rate changes at the start of each.
+    ``rows``: shape (1 + 3 regimes, particle): the age at the first snapshot in spans; for each
+    regime ln(age at its start / age at the first snapshot), ascending, the first 0; the exponent of
+    each; the factor by which the rate changes at the start of each.
     """
 
     rows: FloatArray
@@ -268,9 +265,7 @@ def fall(delta_rad: FloatArray) -> tuple[int, float, float] | None:
 
     Uses joint draws, (snapshot, chain, draw), rad, so that shared errors cause no fall.
 
-    Returns
-    -------
-    Index of the snapshot below its predecessor, the fall in rad, and the fall in standard
+    Returns the index of the snapshot below its predecessor, the fall in rad, and the fall in standard
     deviations. ``None`` if measurement errors cause a fall as significant as this somewhere with a
     probability of ``FALSE_ALARM`` or more (Bonferroni).
     """
@@ -314,19 +309,10 @@ def wear(
     Returns group :data:`WEAR`, or ``None`` if less than ``TOO_FEW`` of the draws grow:
     the gap shrank.
 
-    Parameters
-    ----------
-    delta_rad
-        Draws of the gaps, paired by draw, shape (snapshot, chain, draw), two snapshots or more.
-    years
-        Time of each snapshot, from any origin, shape (snapshot,), ascending, not all the same.
-    age_years
-        Time in service at the first snapshot; ``None`` if unknown.
-
-    Raises
-    ------
-    ValueError
-        If the times give no rate.
+    ``delta_rad``: draws of the gaps, paired by draw, shape (snapshot, chain, draw), two snapshots
+    or more. ``years``: time of each snapshot, from any origin, shape (snapshot,), ascending, not
+    all the same. ``age_years``: time in service at the first snapshot; ``None`` if unknown. Raises
+    ValueError if the times give no rate.
     """
     span = float(years[-1] - years[0])
     if len(years) < 2 or span <= 0.0 or np.any(np.diff(years) < 0.0):
@@ -590,18 +576,10 @@ def used_dates(group: xr.Dataset) -> list[Date]:
 class WearDraws:
     """How a joint wears: paired draws, shape (draw,).
 
-    Attributes
-    ----------
-    rate_rad_per_year
-        Mean rate from the first snapshot in use to the last.
-    kind
-        Index in :data:`KINDS` of the law at the last snapshot.
-    jump_rad
-        Mean jump of irregular wear: variance of the growth over its mean.
-    years_to_limit
-        ``None`` without a limit.
-    probability_wear
-        Probability that the gap grows at all, from lines of either sign.
+    ``rate_rad_per_year``: mean rate from the first snapshot in use to the last. ``kind``: index in
+    :data:`KINDS` of the law at the last snapshot. ``jump_rad``: mean jump of irregular wear:
+    variance of the growth over its mean. ``years_to_limit``: ``None`` without a limit.
+    ``probability_wear``: probability that the gap grows at all, from lines of either sign.
     """
 
     rate_rad_per_year: FloatArray
