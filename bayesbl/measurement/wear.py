@@ -265,9 +265,9 @@ def fall(delta_rad: FloatArray) -> tuple[int, float, float] | None:
 
     Uses joint draws, (snapshot, chain, draw), rad, so that shared errors cause no fall.
 
-    Returns the index of the snapshot below its predecessor, the fall in rad, and the fall in standard
-    deviations. ``None`` if measurement errors cause a fall as significant as this somewhere with a
-    probability of ``FALSE_ALARM`` or more (Bonferroni).
+    Returns the index of the snapshot below its predecessor, the fall in rad, and the fall in
+    standard deviations. ``None`` if measurement errors cause a fall as significant as this
+    somewhere with a probability of ``FALSE_ALARM`` or more (Bonferroni).
     """
     falls = -np.diff(delta_rad.reshape(len(delta_rad), -1), axis=0)
     mean, sd = falls.mean(axis=1), falls.std(axis=1)
