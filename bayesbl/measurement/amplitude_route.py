@@ -51,8 +51,6 @@ from bayesbl.measurement.measurement import (
 )
 from bayesbl.measurement.same_joint import COULD_BE, HARMLESS_SD, RINGING, change_reason, same_joint
 from bayesbl.measurement.stored import routes_of, stored_answers
-from bayesbl.measurement.summary_types import NoiseSummary
-from bayesbl.noise.rotation_noise import Noise
 from bayesbl.probabilities import FALSE_ALARM, ends, normal_isf
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
@@ -524,11 +522,21 @@ def _ringing_change(
 
 def _numbers(fit: Fit, parameters: Mapping[str, Interval]) -> dict[str, Any]:
     """Further keys of the summary, with the misfit, the start and the second sampler."""
-    point, optimum = fit.point, fit.point.optimum
+    point, optimum, noise = fit.point, fit.point.optimum, fit.point.noise
+    evidence = noise.student_t_evidence
     numbers: dict[str, Any] = {
         "amplitude_rpm": parameters[AMPLITUDE],
         "optimum": {**optimum.symbols, "rmse_rpm": optimum.rmse_rpm},
-        "noise": _noise_summary(point.noise),
+        "noise": {
+            "kind": noise.kind,
+            "order": noise.order,
+            "sd_rpm": noise.sd_rpm,
+            "coefficients": noise.coefficients.tolist(),
+            "degrees_of_freedom": noise.degrees_of_freedom,
+            "student_t_evidence": evidence if np.isfinite(evidence) else None,
+            "differentiated": noise.differentiated,
+            "repeating_rounding_sd_rpm": noise.hidden_sd_rpm,
+        },
         "misfit_rms_rpm": point.misfit.rms_rpm,
     }
     if point.start:
@@ -550,20 +558,6 @@ def _numbers(fit: Fit, parameters: Mapping[str, Interval]) -> dict[str, Any]:
             },
         }
     return numbers
-
-
-def _noise_summary(noise: Noise) -> NoiseSummary:
-    evidence = noise.student_t_evidence
-    return {
-        "kind": noise.kind,
-        "order": noise.order,
-        "sd_rpm": noise.sd_rpm,
-        "coefficients": noise.coefficients.tolist(),
-        "degrees_of_freedom": noise.degrees_of_freedom,
-        "student_t_evidence": evidence if np.isfinite(evidence) else None,
-        "differentiated": noise.differentiated,
-        "repeating_rounding_sd_rpm": noise.hidden_sd_rpm,
-    }
 
 
 def reasons_of(

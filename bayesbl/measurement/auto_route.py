@@ -27,7 +27,7 @@ from bayesbl.measurement.two_encoder_route import CHANNELS, TwoEncoderMeasurer
 from bayesbl.measurement.two_encoder_route import NAME as WITNESS
 from bayesbl.probabilities import FALSE_ALARM, normal_isf
 from bayesbl.recording.checks import moves, require_alive
-from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
+from bayesbl.recording.types import MOTOR_POSITION, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 
@@ -142,20 +142,16 @@ def disagreement(first: Measurement, second: Measurement, **values: object) -> R
     if not pairs:
         return None
     bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
-    differing = [name for name, *gaps in pairs if abs(_standard_difference(*gaps)) > bound]
+    differing = []
+    for name, *gaps_rad in pairs:
+        # As if they were independent. Both share the tolerances of the bench, so the true standard
+        # deviation is smaller, and the alarm rarer than its level. For gaps far below
+        # SMALLEST_GAP_RAD, it is the difference of δ itself.
+        logs = [np.log(SMALLEST_GAP_RAD + gap_rad) for gap_rad in gaps_rad]
+        sd = float(np.hypot(logs[0].std(), logs[1].std()))
+        if abs(float(logs[0].mean() - logs[1].mean()) / sd) > bound:
+            differing.append(name)
     return Reason("routes_disagree", {"names": differing, **values}) if differing else None
-
-
-def _standard_difference(first: FloatArray, second: FloatArray) -> float:
-    """Standardised difference of ln δ between two routes, as if their gaps (rad) were independent.
-
-    For gaps far below ``SMALLEST_GAP_RAD`` it is the difference of δ itself. Both routes share the
-    tolerances of the bench. The true standard deviation is therefore smaller, and the alarm rarer
-    than its level.
-    """
-    first, second = (np.log(SMALLEST_GAP_RAD + gap_rad) for gap_rad in (first, second))
-    sd = float(np.hypot(first.std(), second.std()))
-    return float(first.mean() - second.mean()) / sd
 
 
 def with_witness(measured: Measurement, task: Task) -> Measurement:
@@ -163,7 +159,11 @@ def with_witness(measured: Measurement, task: Task) -> Measurement:
 
     The answer stays. A disagreement withholds the change, as between other routes.
     """
-    measurer = TwoEncoderMeasurer(_with_gear_ratio(task.config))
+    config = task.config
+    if config.joint.gear_ratio is None and config.estimator.bench is not None:
+        known = {"gear_ratio": bench_of(config).value("gear_ratio")}
+        config = config.model_copy(update={"joint": config.joint.model_copy(update=known)})
+    measurer = TwoEncoderMeasurer(config)
     recordings = tuple(map(_of_both_encoders, task.recordings))
     try:
         for recording in recordings:
@@ -180,14 +180,6 @@ def with_witness(measured: Measurement, task: Task) -> Measurement:
         change_reason=disagreement(measured, bounded, witness=True) or measured.change_reason,
         why=Reason("witnessed") if measured.why.code == "only_route" else measured.why,
     )
-
-
-def _with_gear_ratio(config: SnapshotConfig) -> SnapshotConfig:
-    """Use the gear ratio of the bench if the joint states none."""
-    if config.joint.gear_ratio is not None or config.estimator.bench is None:
-        return config
-    known = {"gear_ratio": bench_of(config).value("gear_ratio")}
-    return config.model_copy(update={"joint": config.joint.model_copy(update=known)})
 
 
 def _of_both_encoders(recording: Recording) -> Recording:

@@ -80,6 +80,9 @@ WHOLE_ORDER = 0.03
 """Distance from a whole number above which a line's order is not whole: several times the
 resolution by five rotations."""
 
+WORST = ("channel", "recording", "highest_order", "ratio")
+"""What is told of the largest power that repeats."""
+
 BOUNDED = ("gap_unseen",)
 """Codes of reasons that withhold δ but leave an upper bound."""
 
@@ -345,9 +348,16 @@ def direct_reasons(
         problems.append(Reason("sheet_contradicted", {"names": contradicted[:4]}))
     if not (repeating or match.joint.explained or match.allows_for_misfit):
         problems.append(Reason("unexplained"))
-    misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
-    if misfit and match.joint.could_be:
-        misfit["could_be"] = list(match.joint.could_be)
+    misfit: dict[str, Any] = {}
+    if repeating:
+        worst = max(repeating, key=lambda entry: entry.ratio)
+        misfit = {
+            **{key: getattr(worst, key) for key in WORST},
+            "channels": sorted({f"{e.channel} of {e.recording}" for e in repeating}),
+            "is_motion": recording.motion is not None,
+        }
+        if match.joint.could_be:
+            misfit["could_be"] = list(match.joint.could_be)
     if misfit and not match.allows_for_misfit:
         # A misfit that nothing explains also biases bench parameters: they are not its cause.
         problems.insert(0, Reason("repeats_beyond_noise", misfit))
@@ -378,18 +388,6 @@ def direct_reasons(
     if answered and variance > 0.0:
         reasons.append(Reason("soft_edges", {"sd_rad": math.sqrt(variance)}))
     return [*reasons, *motion_notes(fit, index), *notes]
-
-
-def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dict[str, Any]:
-    worst = max(entries, key=lambda entry: entry.ratio)
-    return {
-        "channel": worst.channel,
-        "recording": worst.recording,
-        "highest_order": worst.highest_order,
-        "ratio": worst.ratio,
-        "channels": sorted({f"{e.channel} of {e.recording}" for e in entries}),
-        "is_motion": is_motion,
-    }
 
 
 def _numbers(

@@ -300,10 +300,11 @@ def _budgets(
         factors = -weights
         factors[k] += 1.0
         active = [(f, a) for f, a in zip(factors, one_source, strict=True) if f]
-        variances = {
-            name: _variance(sum((f * logs.get(name, zero) for f, (_, logs) in active), start=zero))
-            for name in sources
-        }
+        variances = {}
+        for name in sources:
+            log_gap = sum((f * logs.get(name, zero) for f, (_, logs) in active), start=zero)
+            finite = log_gap[np.isfinite(log_gap)]
+            variances[name] = float(np.var(finite)) if finite.size else 0.0
         if scatter > 0.0:
             variances["start_angle"] = sum((f * sd) ** 2 for f, (sd, _) in active)
         if calibration is not None:
@@ -327,8 +328,3 @@ def _one_at_a_time(
         delta_by_source[name] = chosen.only(name).gap(np.full(rows.size, median))
     scatter = slope * float(curve.start_angle_sd(np.array(median)))
     return scatter, {name: _log(delta_rad) for name, delta_rad in delta_by_source.items()}
-
-
-def _variance(log_gap: FloatArray) -> float:
-    finite = log_gap[np.isfinite(log_gap)]
-    return float(np.var(finite)) if finite.size else 0.0

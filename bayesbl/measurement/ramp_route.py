@@ -50,7 +50,7 @@ from bayesbl.ramps.flanks import (
     stiffness,
 )
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
-from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
+from bayesbl.ramps.torque_cycles import Ramps, find_ramps, left_rad
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
@@ -648,7 +648,12 @@ def _loop(flanks: Flanks) -> dict[str, FloatArray]:
     level = flanks.level
     numbers = [float(n) for n, cycles in enumerate(level.files) if cycles]
     files = list(filter(None, level.files))
-    torque, position = zip(*map(_path, files), strict=True)
+    torque, position = [], []
+    for cycles in files:  # the path along all cycles of a file, in order, thinned
+        path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
+        step = max(1, -(-(path.stop - path.start) // MOST_POINTS))
+        torque.append(cycles[0].torque_nm[path][::step])
+        position.append(cycles[0].position_rad[path][::step])
     low, high = zip(*map(left_rad, files), strict=True)
     return {
         "torque_nm": np.concatenate(torque),
@@ -657,11 +662,3 @@ def _loop(flanks: Flanks) -> dict[str, FloatArray]:
         "left_low_rad": np.array(low),
         "left_high_rad": np.array(high),
     }
-
-
-def _path(cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray]:
-    """Torque and position along all cycles of a file, in order, thinned."""
-    path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
-    torque, position = cycles[0].torque_nm[path], cycles[0].position_rad[path]
-    step = max(1, -(-torque.size // MOST_POINTS))
-    return torque[::step], position[::step]

@@ -92,17 +92,16 @@ class KeptJoint:
 
 def describe(config: FleetConfig, plan: Plan) -> None:
     """What would be measured."""
-    plan.add("tables", lambda: require_tables())
-    plan.add("joints", lambda: _counted(config))
 
+    def counted() -> str:
+        joints = read_joints(config.fleet)
+        recordings = find_recordings(config.fleet, joints)
+        bad = sum(one.reason is not None for one in recordings)
+        unusable = f", {bad} that cannot be used" if bad else ""
+        return f"{len(joints)}, {len(recordings) - bad} recordings{unusable}"
 
-def _counted(config: FleetConfig) -> str:
-    joints = read_joints(config.fleet)
-    recordings = find_recordings(config.fleet, joints)
-    bad = sum(one.reason is not None for one in recordings)
-    return f"{len(joints)}, {len(recordings) - bad} recordings" + (
-        f", {bad} that cannot be used" if bad else ""
-    )
+    plan.add("tables", require_tables)
+    plan.add("joints", counted)
 
 
 def run(config: FleetConfig, options: Options) -> FleetSummary:
@@ -172,17 +171,21 @@ def _copied(one: Found, alike: Sequence[Found]) -> str | None:
 def _answers(
     config: FleetConfig, jobs: Sequence[JointJob], store: WorkStore, options: Options
 ) -> Iterator[tuple[JointJob, KeptJoint]]:
-    """Joints with their answers: first the kept ones, then those measured now, as they end.
+    """Joints with their answers: first the kept ones, then those measured now, as they end. Of the
+    latter, recordings that earlier runs measured are known.
 
     At the end, answers that no file leads to any more are deleted.
     """
     lacking = []
     for job in jobs:
         kept = None if store.fresh else store.recall("joint", job.problem(), KeptJoint)
-        if kept is None:
-            lacking.append(_with_known(job, store))
-        else:
+        if kept is not None:
             yield job, kept
+            continue
+        problems = {} if store.fresh else {n: job.problem_of(n) for n in range(len(job.recordings))}
+        found = {n: store.recall("recording", p, RecordingAnswer) for n, p in problems.items()}
+        known = {n: answer for n, answer in found.items() if answer is not None}
+        lacking.append(replace(job, known=known))
     if lacking:
         new = sum(len(job.recordings) - len(job.known) for job in lacking)
         options.say(
@@ -211,16 +214,6 @@ def _answers(
         numbers = range(len(job.recordings))
         used |= {store.address_of("recording", job.problem_of(number)) for number in numbers}
     store.keep_only(used)
-
-
-def _with_known(job: JointJob, store: WorkStore) -> JointJob:
-    """The job with the answers that earlier runs kept."""
-    if store.fresh:
-        return job
-    numbers = range(len(job.recordings))
-    kept = (store.recall("recording", job.problem_of(n), RecordingAnswer) for n in numbers)
-    known = {n: answer for n, answer in zip(numbers, kept, strict=True) if answer is not None}
-    return replace(job, known=known)
 
 
 def _measured(

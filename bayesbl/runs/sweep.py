@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -73,14 +72,6 @@ def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
     return {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds}
 
 
-def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
-    """Inverse of eq. 4 by interpolation on a fine grid, rpm."""
-    curve = published_curve(draws=1)
-    low, high = curve.amplitude_range_rpm
-    grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
-    return np.asarray(np.interp(gap_rad, curve.gap(grid), grid))
-
-
 class SweepSummary(Head):
     """``summary.json`` of a sweep."""
 
@@ -104,14 +95,14 @@ def describe(config: SweepConfig, plan: Plan) -> None:
     """Which bench would be swept, and over which gaps."""
     bench = bench_from(config.bench)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
-    plan.add("gaps", partial(_gaps, config, bench))
 
+    def gaps() -> str:
+        require_drawable(config, bench)
+        _require_possible(config, bench)
+        gap = config.sweep.gap_rad
+        return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
 
-def _gaps(config: SweepConfig, bench: Bench) -> str:
-    require_drawable(config, bench)
-    _require_possible(config, bench)
-    gap = config.sweep.gap_rad
-    return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
+    plan.add("gaps", gaps)
 
 
 def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
@@ -125,11 +116,21 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     require_flank_change(bench)
     require_drawable(config, bench)
     rows = WorkStore.shared(config.run.output.parent / STORE, fresh=options.force)
-    problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, rows)
-    # Of the sweep's sampling and the bench's speed.
-    recording = bench.simulate(
-        config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
+    section, gap, of_model = config.sweep, config.sweep.gap_rad, config.estimator.model
+    model = DisturbanceModel(of_model.baseline_harmonics, of_model.fixed, of_model.ranges)
+    model = replace(model, ranges=model.lasting_ranges)
+    settings = SweepSettings(
+        gap.low,
+        gap.high,
+        gap.count,
+        gap.spacing,
+        section.start_angles,
+        section.rotations,
+        section.sampling_hz,
     )
+    problem = SweepProblem(bench, model, settings, config.run.seed, rows)
+    # Of the sweep's sampling and the bench's speed.
+    recording = bench.simulate(gap.low, rotations=2.0, sampling_hz=section.sampling_hz)
     curve, nominal, swept = problem.curve(
         str(config.run.output),
         config.sweep.degree,
@@ -143,7 +144,11 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
         leaps = f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing"
         curve = replace(curve, warnings=(f"{leaps}, and the curve begins there.",))
     symbols = {name: nominal.symbol(name, problem.model.fixed) for name in (FREQUENCY, DECAY)}
-    ratio = nominal.amplitude_rpm.mean(axis=1) / _published_amplitude(nominal.gap_rad)
+    published = published_curve(draws=1)  # eq. 4, inverted by interpolation on a fine grid
+    low, high = published.amplitude_range_rpm
+    grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
+    published_rpm = np.interp(nominal.gap_rad, published.gap(grid), grid)
+    ratio = nominal.amplitude_rpm.mean(axis=1) / published_rpm
     groups: dict[Group, object] = {
         SWEEP: (nominal, symbols),
         EXAMPLES: _examples(bench, problem.settings),
@@ -206,22 +211,3 @@ def _require_possible(config: SweepConfig, bench: Bench) -> None:
     )
     require_flank_change(bench)
     bench.simulate(section.gap_rad.high, rotations=0.1, sampling_hz=section.sampling_hz)
-
-
-def _model(config: SweepConfig) -> DisturbanceModel:
-    section = config.estimator.model
-    model = DisturbanceModel(section.baseline_harmonics, section.fixed, section.ranges)
-    return replace(model, ranges=model.lasting_ranges)
-
-
-def _settings(config: SweepConfig) -> SweepSettings:
-    section, gap = config.sweep, config.sweep.gap_rad
-    return SweepSettings(
-        gap.low,
-        gap.high,
-        gap.count,
-        gap.spacing,
-        section.start_angles,
-        section.rotations,
-        section.sampling_hz,
-    )
