@@ -407,13 +407,9 @@ def _written(file: Path, columns: Mapping[str, Any]) -> Path:
 
 def _made(config: RunConfig, tell: StageProgress | None) -> Any:
     """The result object of a configuration."""
-    from bayesbl.config.measurement import SnapshotConfig
-    from bayesbl.measurement.routes import measure
     from bayesbl.presentation.result_object import result_of
     from bayesbl.runs.kinds import result_of_run
 
-    if isinstance(config, SnapshotConfig):  # a run would keep its curves beside its output
-        return result_of(measure(config, tell))
     return result_of(result_of_run(config, tell))
 
 

@@ -29,7 +29,6 @@ from bayesbl.errors import UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, Found, Joint, digest_of_file, file_state
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
-from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason, Seeds
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored import stored_answers
@@ -38,7 +37,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import file_sha256
 from bayesbl.results.store import summary_of
-from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.results.work import NOTHING_KEPT, STORE, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 
 REFUSED, FAILED = "refused", "failed"  # further outcomes: an unusable recording, and a bug

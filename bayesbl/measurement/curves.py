@@ -36,7 +36,7 @@ from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.store import read_tree, texts
 from bayesbl.results.variables import Group, Variable, dataset, stack_snapshots, table
-from bayesbl.results.work import WorkStore
+from bayesbl.results.work import LARGEST_STORE_BYTES, WorkStore
 from bayesbl.ringing.symbols import DisturbanceModel
 
 AMPLITUDES, BAND_DRAWS = 200, 1000
@@ -312,10 +312,3 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
             expected="a bench whose gap shows in the motor speed",
         )
     return row
-
-
-STORE = ".finished"
-"""Folder beside the results that stores swept rows and fits, for later runs."""
-
-LARGEST_STORE_BYTES = 500_000_000
-"""Size of the store, with some 10 kB a row; the oldest entries are deleted first."""

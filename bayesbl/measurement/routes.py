@@ -26,11 +26,11 @@ from bayesbl.recording.types import LOAD_POSITION, Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 ROUTES = {
-    "amplitude": "amplitude_route.AmplitudeMeasurer",
-    "direct": "direct_route.DirectMeasurer",
-    "auto": "auto_route.AutoMeasurer",
-    "torque_ramp": "ramp_route.RampMeasurer",
-    "two_encoders": "two_encoder_route.TwoEncoderMeasurer",
+    "amplitude": "bayesbl.measurement.amplitude_route:AmplitudeMeasurer",
+    "direct": "bayesbl.measurement.direct_route:DirectMeasurer",
+    "auto": "bayesbl.measurement.auto_route:AutoMeasurer",
+    "torque_ramp": "bayesbl.measurement.ramp_route:RampMeasurer",
+    "two_encoders": "bayesbl.measurement.two_encoder_route:TwoEncoderMeasurer",
 }
 """Class of each route, in a module that is imported only when it is used."""
 
@@ -40,8 +40,8 @@ def measurer_of(config: SnapshotConfig) -> Measurer:
 
     Raises UserError if the bench or the curve cannot be read or used.
     """
-    module, _, name = ROUTES[config.estimator.route].partition(".")
-    measurer: Measurer = getattr(import_module(f"bayesbl.measurement.{module}"), name)(config)
+    module, _, name = ROUTES[config.estimator.route].partition(":")
+    measurer: Measurer = getattr(import_module(module), name)(config)
     return measurer
 
 

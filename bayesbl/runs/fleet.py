@@ -114,17 +114,14 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     _require_own(output, options.force)
     joints = read_joints(config.fleet)
     recordings = find_recordings(config.fleet, joints)
-    fits = WorkStore.shared(fits_beside(output))
-    if options.force:
-        fits.clear()
     with locked_sibling(output, KEPT) as folder:
         jobs, refused = _jobs(config, joints, recordings)
-        store = WorkStore(folder, fresh=options.force)
+        store = WorkStore(folder)
         with new_result(output, force=True) as new:
             summary = _write(config, jobs, refused, _answers(config, jobs, store, options), new)
             # The pages are made of the tables alone.
             options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new, options.formats)
-    fits.keep_latest(size_bytes=LARGEST_FITS_BYTES)
+    WorkStore.shared(fits_beside(output)).keep_latest(size_bytes=LARGEST_FITS_BYTES)
     return summary
 
 
@@ -178,13 +175,13 @@ def _answers(
     """
     lacking = []
     for job in jobs:
-        kept = None if store.fresh else store.recall("joint", job.problem(), KeptJoint)
+        kept = store.recall("joint", job.problem(), KeptJoint)
         if kept is not None:
             yield job, kept
             continue
-        problems = {} if store.fresh else {n: job.problem_of(n) for n in range(len(job.recordings))}
-        found = {n: store.recall("recording", p, RecordingAnswer) for n, p in problems.items()}
-        known = {n: answer for n, answer in found.items() if answer is not None}
+        numbers = range(len(job.recordings))
+        found = (store.recall("recording", job.problem_of(n), RecordingAnswer) for n in numbers)
+        known = {n: answer for n, answer in enumerate(found) if answer is not None}
         lacking.append(replace(job, known=known))
     if lacking:
         new = sum(len(job.recordings) - len(job.known) for job in lacking)

@@ -17,7 +17,6 @@ from bayesbl.measurement.compatibility import (
     require_different,
     require_plausible_limit,
 )
-from bayesbl.measurement.curves import LARGEST_STORE_BYTES, STORE
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.probabilities import normal_isf
@@ -30,15 +29,8 @@ if TYPE_CHECKING:
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Measure; fits and curves are kept beside the output folder, so a later run with other dates
-    or another limit need not make them again."""
-    kept = WorkStore.shared(config.run.output.parent / STORE)
-    if kept.folder is None:
-        options.say(f"{config.run.output.parent / STORE} may be of somebody else: nothing is kept.")
-        kept = work
-    tree = measure(config, options.progress, kept, options.say, kept, recordings=options.recordings)
-    kept.keep_latest(size_bytes=LARGEST_STORE_BYTES)
-    return tree
+    """Measure; with other dates or another limit, fits and curves are those of an earlier run."""
+    return measure(config, options.progress, work, options.say, work, recordings=options.recordings)
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:

@@ -295,10 +295,11 @@ class Row:
 
 
 def run(config: StudyConfig, options: Options) -> StudySummary:
-    """Run the unfinished cases of a study, write its output folder, and return the summary.
+    """Run the cases of a study that no run has finished, write its output folder, and return the
+    summary.
 
-    Cases of an unfinished run are reused if the definition of their row is the same. Raises
-    UserError if the study, a row or the output folder cannot be used.
+    A case is the same as long as the definition of its row is. Raises UserError if the study, a row
+    or the output folder cannot be used.
     """
     study, rows = prepare(config)
     with work_of(config, options) as work:
@@ -308,7 +309,7 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
         tree = _tree(study, rows, config)
         summary: StudySummary = summary_of(tree)
         drawn = replace(options, draw=partial(draw_study, study))
-        write_result(tree, summary, config, drawn, {TABLE_FILE: table_csv(summary["rows"])}, work)
+        write_result(tree, summary, config, drawn, {TABLE_FILE: table_csv(summary["rows"])})
     return summary
 
 
@@ -380,7 +381,7 @@ def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.D
 
 
 def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> None:
-    """Give a row the cases that an unfinished run stored."""
+    """Give a row the cases that earlier runs stored."""
     stored = (work.recall("case", (row.definition, index), Case) for index in range(row.count))
     row.cases = {case.index: case for case in stored if case is not None}
     if row.cases:
@@ -402,7 +403,8 @@ def _finish(
     try:
         for job, case in run_jobs(run, jobs, files, config.run, options.say, "cases"):
             row = by_name[job.row]
-            work.keep("case", (row.definition, case.index), case)
+            if not case.message:  # what refused it may be gone the next time
+                work.keep("case", (row.definition, case.index), case)
             if case.message and not any(other.message for other in row.cases.values()):
                 options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
             row.cases[case.index] = case

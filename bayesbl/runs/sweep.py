@@ -15,7 +15,7 @@ from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports
 from bayesbl.errors import ConfigError
-from bayesbl.measurement.curves import CURVE, STORE, SweepProblem, curve_group
+from bayesbl.measurement.curves import CURVE, SweepProblem, curve_group
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
@@ -108,14 +108,12 @@ def describe(config: SweepConfig, plan: Plan) -> None:
 def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Sweep a bench and regress its gap curve.
 
-    Rows of the same problem by the same code are reused from the store of curves on demand, unless
-    ``options.force``. Raises UserError if the bench cannot be used, a simulation fails, or the
+    Raises UserError if the bench cannot be used, a simulation fails, or the
     curve is not monotone.
     """
     bench = bench_from(config.bench)
     require_flank_change(bench)
     require_drawable(config, bench)
-    rows = WorkStore.shared(config.run.output.parent / STORE, fresh=options.force)
     section, gap, of_model = config.sweep, config.sweep.gap_rad, config.estimator.model
     model = DisturbanceModel(of_model.baseline_harmonics, of_model.fixed, of_model.ranges)
     model = replace(model, ranges=model.lasting_ranges)
@@ -128,7 +126,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
         section.rotations,
         section.sampling_hz,
     )
-    problem = SweepProblem(bench, model, settings, config.run.seed, rows)
+    problem = SweepProblem(bench, model, settings, config.run.seed, work)
     # Of the sweep's sampling and the bench's speed.
     recording = bench.simulate(gap.low, rotations=2.0, sampling_hz=section.sampling_hz)
     curve, nominal, swept = problem.curve(

@@ -33,7 +33,6 @@ from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.results.work import NOTHING_KEPT
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.objective import Objective
@@ -42,8 +41,6 @@ from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
 from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.runs.kinds import check, result_of_run
-from bayesbl.runs.sweep import make
-from bayesbl.runs.workflow import Options
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
 TOLERANT = (
@@ -472,7 +469,7 @@ def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_s
 
 
 @pytest.mark.long
-def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
+def test_rows_made_by_other_code_are_not_taken_from_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = sweep_config(tmp_path, draws=0)
@@ -490,12 +487,7 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
         edited.setattr("bayesbl.results.work.code_sha256", lambda: "another code")
         other = result_of_run(config)
     assert len(made) == 1
-    anew = make(config, Options(force=True), NOTHING_KEPT)
-    assert len(made) == 2
-    for swept in (other, anew):
-        np.testing.assert_array_equal(
-            swept["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"]
-        )
+    np.testing.assert_array_equal(other["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
 
 
 def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: ignore[no-untyped-def]
