@@ -53,7 +53,7 @@ from bayesbl.measurement.same_joint import COULD_BE, HARMLESS_SD, RINGING, chang
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.probabilities import FALSE_ALARM, ends, normal_isf
 from bayesbl.processes import processes
-from bayesbl.progress import Progress, StageProgress, of_stage
+from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, speed_in_another_unit
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.intervals import Interval
@@ -408,6 +408,13 @@ class AmplitudeMeasurer(Measurer):
             [entry.repaired for entry in entries],
             [tuple(sorted(entry.bench.items())) for entry in entries],
         )
+        ringing_change = None
+        if len(fits) > 1 and len({id(curve) for curve in curves}) <= 1:  # of one speed and rate
+            first, last = (
+                fits[at].posterior.draws[AMPLITUDE].ravel()[_index(fits[at], gap_or_none[at])]
+                for at in (0, -1)
+            )
+            ringing_change = np.asarray(last / first - 1.0)
         seeds = task.seeds.predictive.spawn(len(fits))
         parts = zip(task.recordings, fits, gap_or_none, curve_or_none, seeds, strict=True)
         return Measurement(
@@ -416,7 +423,7 @@ class AmplitudeMeasurer(Measurer):
             shared=stored,
             curve=curves[0].name if curves else "",
             warnings=curves[0].warnings if curves else (),
-            ringing_change=_ringing_change(fits, gap_or_none, curves),
+            ringing_change=ringing_change,
             same_joint=check,
             change_reason=change_reason(check) if curves else None,
         )
@@ -505,19 +512,6 @@ class AmplitudeMeasurer(Measurer):
                 FitJob(self.estimator, curve, recording, seed, ratio, start, check, task.work)
             )
         return jobs
-
-
-def _ringing_change(
-    fits: Sequence[Fit], gaps_by_curve: Sequence[Gap | None], curves: Sequence[GapCurve]
-) -> FloatArray | None:
-    """Draws of last amplitude / first amplitude − 1, if all recordings share one speed and rate."""
-    if len(fits) < 2 or len({id(curve) for curve in curves}) > 1:
-        return None
-    first, last = (
-        fits[at].posterior.draws[AMPLITUDE].ravel()[_index(fits[at], gaps_by_curve[at])]
-        for at in (0, -1)
-    )
-    return np.asarray(last / first - 1.0)
 
 
 def _numbers(fit: Fit, parameters: Mapping[str, Interval]) -> dict[str, Any]:
@@ -792,21 +786,18 @@ class FitJob:
 
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording, or recall the fit from the store of an unfinished run."""
-        step = of_stage(progress, f"Sampling {self.recording.name}")
-        return self.work.get("fit", self, lambda: self._made(step), Fit)
-
-    def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve
-        branch = None if curve is None else partial(likeliest_branch, curve, self.estimator)
-        return self.estimator.fit(
+        make = partial(
+            self.estimator.fit,
             self.recording,
             self.seed,
             self.gear_ratio,
-            progress,
-            branch,
+            of_stage(progress, f"Sampling {self.recording.name}"),
+            None if curve is None else partial(likeliest_branch, curve, self.estimator),
             earlier=self.earlier,
             check=self.check,
         )
+        return self.work.get("fit", self, make, Fit)
 
 
 def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | None) -> list[Fit]:

@@ -131,10 +131,17 @@ class DirectMatch:
 
         A disagreement shows in a reason that withholds δ, or in the comparison.
         """
+        changed, allowed = (
+            [c for c in found if c.recording in (None, recording)]
+            for found in (self.joint.changed, self.joint.allowed)
+        )
+        contradicted = changed or self.repeating(recording)
         beyond = self.posterior.beyond_tolerance(recording, level)
-        check = check_of_snapshot(self.joint, recording)
-        agrees = check["agrees"] and not self.repeating(recording) and beyond is None
-        return {**check, "agrees": agrees}
+        return joint_check(
+            self.joint.explained and not contradicted and beyond is None,
+            [_check_item(c) for c in (*changed, *allowed)],
+            self.joint.could_be if changed else (),
+        )
 
 
 class DirectMeasurer(Measurer):
@@ -370,9 +377,8 @@ def direct_reasons(
     if answered and unknown.offset and ends == (False, True):
         values = {"upper_rad": upper_bound(gap), "smallest_rad": SMALLEST_GAP_RAD}
         reasons.append(Reason("gap_not_told", values))
-    lacking = bench_lacks(match.joint)
-    if answered and lacking:
-        reasons.append(Reason("bench_lacks", lacking))
+    if answered and match.joint.beyond_bench:
+        reasons.append(Reason("bench_lacks", bench_lacks(match.joint)))
     if answered and match.allows_for_misfit:
         # The bench has one misfit: it is reported once, with the largest widening.
         places = [place for place, u in enumerate(fit.model.unknowns) if u.name == GAP]
@@ -457,7 +463,11 @@ def expected_sds(
 
 def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> ExpectedSd:
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
-    point = np.array([_expected_value(unknown) for unknown in model.unknowns])
+    # One-sided unknowns at the mean of their prior: at the bound, derivatives toward the other side
+    # would be missed.
+    one_sided = np.array([u.low == u.centre and math.isfinite(u.sd) for u in model.unknowns])
+    means = [u.centre + u.sd * math.sqrt(2.0 / math.pi) for u in model.unknowns]
+    point = np.where(one_sided, means, [u.middle for u in model.unknowns])
     point[gaps] = [float(model.unknowns[k].coordinate(np.array(gap_rad))) for k in gaps]
     model.require(point)
     # Use the simulation itself as data, so that the residuals are zero.
@@ -480,14 +490,6 @@ def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> 
     first, last = gaps[0], gaps[-1]
     change = sd_rad({first: -1.0, last: 1.0}) if last != first else None
     return ExpectedSd(gap_rad, max(sd_rad({k: 1.0}) for k in gaps), change)
-
-
-def _expected_value(unknown: Unknown) -> float:
-    """Mean of the prior for a one-sided unknown, else its middle. At its bound, derivatives toward
-    the other side would be missed."""
-    if unknown.low == unknown.centre and math.isfinite(unknown.sd):
-        return unknown.centre + unknown.sd * math.sqrt(2.0 / math.pi)
-    return unknown.middle
 
 
 # What a motion shows of its gap.
@@ -568,17 +570,6 @@ def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
 # What is reported of the joint: items, findings, blind spots.
 
 
-def check_of_snapshot(findings: JointFindings, recording: str) -> JointCheck:
-    """Compare one recording with its bench."""
-    changed = [c for c in findings.changed if c.recording in (None, recording)]
-    allowed = [c for c in findings.allowed if c.recording in (None, recording)]
-    return joint_check(
-        findings.explained and not changed,
-        [_check_item(c) for c in (*changed, *allowed)],
-        findings.could_be if changed else (),
-    )
-
-
 def check_of_comparison(
     joint: JointFindings, change_rad: FloatArray, level: float, *, is_given: bool
 ) -> JointCheck:
@@ -614,10 +605,8 @@ def check_of_comparison(
 
 
 def bench_lacks(findings: JointFindings) -> dict[str, Any]:
-    """Parameters that differ from the bench in every recording, for the sentence; empty if none."""
+    """Parameters that differ from the bench in every recording, for the sentence."""
     changed = findings.beyond_bench
-    if not changed:
-        return {}
     return {"parameters": [_change_values(c) for c in changed], "alike": _alike(findings, changed)}
 
 

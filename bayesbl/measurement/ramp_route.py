@@ -217,7 +217,13 @@ class RampMeasurer(Measurer):
         ]
         report = of_stage(task.progress, f"Sampling {' and '.join(task.names)}")
         play_seed, shares_seed, *seeds = task.seeds.direct.spawn(2 + len(files))
-        elsewhere = _elsewhere(flanks)
+        # One file each, at different positions of the turn: their flanks do not overlap.
+        levels = [flank.level for flank in flanks]
+        middles = [level.middle_rad for level in levels]
+        elsewhere = len(levels) > 1 and all(len(level.widths()) == 1 for level in levels)
+        if elsewhere:
+            widest = max(float(level.widths()[0].mean()) for level in levels)
+            elsewhere = max(middles) - min(middles) > widest
         play = sample_play(
             widths, sampler_of(self.config), play_seed, report, round_the_turn=elsewhere
         )
@@ -385,17 +391,6 @@ def _ramps(flanks: Flanks) -> RampsSummary:
         "torque_nm": float(np.mean([cycle.amplitude_nm for cycle in flanks.level.cycles])),
         "width_rad": [float(np.mean([c.width_rad for c in file])) for file in used],
     }
-
-
-def _elsewhere(flanks: Sequence[Flanks]) -> bool:
-    """Whether snapshots of one file each were recorded at different positions of the turn.
-    Positions count as equal if their flanks overlap."""
-    levels = [flank.level for flank in flanks]
-    if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
-        return False
-    middles = [level.middle_rad for level in levels]
-    widest = max(float(level.widths()[0].mean()) for level in levels)
-    return max(middles) - min(middles) > widest
 
 
 def _joined(name: str, parts: Sequence[Recording]) -> Recording:

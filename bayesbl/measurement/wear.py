@@ -25,7 +25,7 @@ gaps drift, ``width_over_prior`` of the date. The keys of the summary are those 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from datetime import date as Date
 from datetime import timedelta
 from typing import Any
@@ -608,14 +608,9 @@ class WearDraws:
 
     def at(self, draws: NDArray[np.int_]) -> WearDraws:
         """Select draws by index."""
-        return WearDraws(
-            self.rate_rad_per_year[draws],
-            self.kind[draws],
-            self.jump_rad[draws],
-            self.rate_now_rad_per_year[draws],
-            None if self.years_to_limit is None else self.years_to_limit[draws],
-            self.probability_wear,
-        )
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        rows: dict[str, Any] = {n: v[draws] for n, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **rows)
 
     def summary(self, last: Date, of: IntervalConfig, before: Date | None) -> dict[str, Any]:
         """Keys of :class:`WearSummary` that follow from the draws.

@@ -75,19 +75,13 @@ def table(text: str) -> tuple[Variable, ...]:
             rows[-1] += f" {line.strip()}"
         else:
             rows.append(line.strip())
-    return tuple(_declared(*(cell.strip() for cell in row.split("|"))) for row in rows)
-
-
-def _declared(head: str, unit: str, meaning: str) -> Variable:
-    name, _, dims = head.partition(" (")
-    return Variable(
-        name.rstrip("?!"),
-        tuple(dims.removesuffix(")").split(", ")) if dims else (),
-        unit,
-        meaning,
-        optional="?" in name,
-        told="!" in name,
-    )
+    declared = []
+    for head, unit, meaning in ((cell.strip() for cell in row.split("|")) for row in rows):
+        name, _, dims = head.partition(" (")
+        axes = tuple(dims.removesuffix(")").split(", ")) if dims else ()
+        marks = {"optional": "?" in name, "told": "!" in name}
+        declared.append(Variable(name.rstrip("?!"), axes, unit, meaning, **marks))
+    return tuple(declared)
 
 
 def labels(name: str, meaning: str) -> Variable:
@@ -164,14 +158,21 @@ def _stored(group: Group, name: str, value: object) -> xr.Variable:
 def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str, xr.Dataset]:
     """Stack groups of several fits, by snapshot name, along :data:`STACKED`, padded with NaN.
 
-    A group that is missing in any fit is left out.
+    A group that is missing in any fit is left out. Dimensions without labels have the greatest
+    length of all.
     """
     names = list(groups)
     stacked = {}
     for group in next(iter(groups.values())):
         if not all(group in fit_groups for fit_groups in groups.values()):
             continue
-        parts = _of_one_size([groups[name][group] for name in names])
+        parts = [groups[name][group] for name in names]
+        sizes = [(str(d), n) for p in parts for d, n in p.sizes.items() if d not in p.coords]
+        longest = {dim: max(n for d, n in sizes if d == dim) for dim, _ in sizes}
+        parts = [
+            p.pad({dim: (0, n - p.sizes[dim]) for dim, n in longest.items() if dim in p.sizes})
+            for p in parts
+        ]
         stacked[group] = xr.concat(
             parts,
             dim=xr.Variable(STACKED, names),
@@ -190,18 +191,3 @@ def padded(rows: Sequence[object], width: int) -> NDArray[np.float64]:
     for target, row in zip(table, map(np.asarray, rows), strict=True):
         target[: row.size] = row
     return table
-
-
-def _of_one_size(parts: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-    """Pad all dimensions without labels to their greatest length with NaN."""
-    longest: dict[str, int] = {}
-    for part in parts:
-        for dim, size in part.sizes.items():
-            if dim not in part.coords:
-                longest[str(dim)] = max(longest.get(str(dim), 0), size)
-    return [
-        part.pad(
-            {dim: (0, size - part.sizes[dim]) for dim, size in longest.items() if dim in part.sizes}
-        )
-        for part in parts
-    ]

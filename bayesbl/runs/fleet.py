@@ -12,7 +12,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import date as Date
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +21,6 @@ import xarray as xr
 import bayesbl
 from bayesbl.config.kinds import FleetConfig
 from bayesbl.config.loading import dump_config
-from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.fleet.inventory import Found, Joint, find_recordings, read_joints
 from bayesbl.fleet.measured_joint import (
     REFUSED,
@@ -258,9 +256,7 @@ def _write(
     of_joints = joint_rows(measured, borrowed, config.interval, asked.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
-    summary = summary_of(
-        rows, of_joints, types, config.interval, config.run.seed, asked.pool_by, asked.decide_before
-    )
+    summary = summary_of(config, rows, of_joints, types)
     write_json(summary, folder / SUMMARY_FILE)
     write_text(dump_config(config), folder / CONFIG_FILE)
     return summary
@@ -282,15 +278,13 @@ def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
 
 
 def summary_of(
+    config: FleetConfig,
     rows: Sequence[Mapping[str, Any]],
     joints: Sequence[Mapping[str, Any]],
     types: Mapping[str, TypeRates],
-    of: IntervalConfig,
-    seed: int,
-    pool_by: str | None,
-    before: Date | None,
 ) -> FleetSummary:
     """``summary.json`` from the rows of both tables."""
+    of, before = config.interval, config.fleet.decide_before
     counted = Counter(str(row["outcome"]) for row in rows)
     any_gap = any(row["delta_rad_median"] is not None for row in rows)
     rates = {
@@ -314,7 +308,7 @@ def summary_of(
         "warnings": [],
         "version": bayesbl.__version__,
         "commit": git_commit(),
-        "seed": seed,
+        "seed": config.run.seed,
         "joints": len(joints),
         "with_rate": sum(row["rate_rad_per_year_median"] is not None for row in joints),
         "recordings": dict(counted),
@@ -323,6 +317,6 @@ def summary_of(
         "most_urgent": [dict(row) for row in joints[:MOST_URGENT]],
         "level": of.level,
         "interval_kind": of.kind,
-        "pool_by": pool_by,
+        "pool_by": config.fleet.pool_by,
         "decide_before": None if before is None else before.isoformat(),
     }

@@ -171,7 +171,7 @@ def test_a_row_defined_differently_is_run_again(folder, monkeypatch):
     configure(folder, ROWS | {"many": "draws = 20"})
     _, said = run(config)
     assert said == [
-        'Row "few, AR(1)" goes on after 6 of 6 cases.',
+        'Row "few, AR(1)" has 6 of 6 cases already.',
     ]
     fresh = configure(folder, ROWS | {"many": "draws = 20"}, output="fresh")
     run(fresh)
