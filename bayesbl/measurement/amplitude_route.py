@@ -363,7 +363,7 @@ class AmplitudeMeasurer(Measurer):
             rotations=need.rotations,
             sampling_hz=need.sampling_hz,
         )
-        problem = SweepProblem(bench, model, settings, SEED, task.swept)
+        problem = SweepProblem(bench, model, settings, SEED, task.work)
         report = of_stage(task.progress, f"Making the curve for {need}")
         if report is not None:
             report(0, 1)

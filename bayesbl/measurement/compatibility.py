@@ -80,20 +80,14 @@ def bench_with(bench: Bench, known: Mapping[str, float]) -> Bench:
 
     Raises BenchError if a value makes no physical sense.
     """
-    effects = [
-        BenchEffect(
-            effect.name,
-            {
-                **effect.parameters,
-                **{
-                    name.partition(".")[2]: EffectParameterValue(value)
-                    for name, value in known.items()
-                    if name.partition(".")[0] == effect.name
-                },
-            },
-        )
-        for effect in bench.effects
-    ]
+    effects = []
+    for effect in bench.effects:
+        own = {
+            name.partition(".")[2]: EffectParameterValue(value)
+            for name, value in known.items()
+            if name.partition(".")[0] == effect.name
+        }
+        effects.append(BenchEffect(effect.name, {**effect.parameters, **own}))
     parameters = {name: value for name, value in known.items() if "." not in name}
     return bench.with_effects(*effects).with_parameters(**parameters)
 

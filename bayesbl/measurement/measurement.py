@@ -48,11 +48,10 @@ class Seeds:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Recordings to be measured, with seeds, progress callbacks and stores.
+    """Recordings to be measured, with seeds, progress callbacks and a store.
 
     ``work``: stores finished steps, and returns those that an earlier run finished. ``say``: called
     with a sentence on what each search started from, if it started from an earlier optimum.
-    ``swept``: stores the rows of swept benches, for this run and others.
     """
 
     config: SnapshotConfig
@@ -61,7 +60,6 @@ class Task:
     progress: StageProgress | None = None
     work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
-    swept: WorkStore = NOTHING_KEPT
 
     @property
     def names(self) -> list[str]:

@@ -50,16 +50,15 @@ def measure(
     progress: StageProgress | None = None,
     work: WorkStore = NOTHING_KEPT,
     say: Callable[[str], None] = lambda sentence: None,
-    swept: WorkStore = NOTHING_KEPT,
     seeds: Seeds | None = None,
     recordings: Sequence[Recording] = (),
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
-    ``progress``, ``work``, ``say``, ``swept``: as of :class:`bayesbl.measurement.measurement.Task`.
-    ``seeds``: seeds of the run; by default from the configuration. ``recordings``: the configured
-    recordings as this route reads them; by default they are read here. Returns the whole result;
-    only finished steps are written to ``work`` and ``swept``. Raises UserError if a recording, the
+    ``progress``, ``work``, ``say``: as of :class:`bayesbl.measurement.measurement.Task`. ``seeds``:
+    seeds of the run; by default from the configuration. ``recordings``: the configured recordings
+    as this route reads them; by default they are read here. Returns the whole result; only finished
+    steps are written, to ``work``. Raises UserError if a recording, the
     bench or the curve cannot be read or used, the curve does not belong to the estimator, the
     earlier result has no optimum to start from, or the second sampler is not installed.
     """
@@ -71,7 +70,7 @@ def measure(
     for recording in recordings:
         measurer.require_usable(recording)
     seeds = seeds or Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, work, say, swept)
+    task = Task(config, recordings, seeds, progress, work, say)
     measured = measurer.measure(task)
     has_load = all(LOAD_POSITION in recording.channels for recording in recordings)
     if has_load and measured.route not in WITHOUT_BENCH:

@@ -135,7 +135,9 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
 
 
 STORE = ".finished"  # folder beside results, for all of them
-LARGEST_STORE_BYTES = 500_000_000  # of that folder; the oldest entries are deleted first
+LARGEST_STORE_BYTES = (
+    2_000_000_000  # of that folder, 300 kB a fit; the oldest entries are deleted first
+)
 _PART = ".part"  # suffix of a file being written; a killed writer leaves it
 
 

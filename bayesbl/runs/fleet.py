@@ -28,7 +28,6 @@ from bayesbl.fleet.measured_joint import (
     JointJob,
     MeasuredJoint,
     RecordingAnswer,
-    fits_beside,
     measure_joint,
 )
 from bayesbl.fleet.plant_tables import (
@@ -50,12 +49,11 @@ from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_r
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import git_commit
 from bayesbl.results.store import Head, write_json, write_text
-from bayesbl.results.work import WorkStore
+from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan
 
 DRAWS_FOLDER = "draws.zarr"
-LARGEST_FITS_BYTES = 2_000_000_000  # of finished fits (300 kB each), for changes; the oldest go
 KEPT = ".kept"  # suffix of the hidden folder of answers
 MOST_URGENT = 20  # number of joints in the summary; the tables have all
 
@@ -119,7 +117,7 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
             summary = _write(config, jobs, refused, _answers(config, jobs, store, options), new)
             # The pages are made of the tables alone.
             options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new, options.formats)
-    WorkStore.shared(fits_beside(output)).keep_latest(size_bytes=LARGEST_FITS_BYTES)
+    WorkStore.shared(output.parent / STORE).keep_latest(size_bytes=LARGEST_STORE_BYTES)
     return summary
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Measure; with other dates or another limit, fits and curves are those of an earlier run."""
-    return measure(config, options.progress, work, options.say, work, recordings=options.recordings)
+    return measure(config, options.progress, work, options.say, recordings=options.recordings)
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:

@@ -17,7 +17,6 @@ from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import CURVE, SweepProblem, curve_group
 from bayesbl.progress import of_stage
-from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, json_text
@@ -59,17 +58,6 @@ BENCH_DRAWS = Group(
     """),
     (labels("parameter", "parameter of the bench"), labels("quantity", "quantity of the ringing")),
 )
-
-
-def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
-    """Noise-free speed over a rotation at a few gaps, the arm's first, for figures."""
-    gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
-    level_rad = 0.5 * math.pi - bench.value("gravity_angle_rad")
-    speeds = bench.simulate_many(
-        gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=level_rad
-    )
-    time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
-    return {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds}
 
 
 class SweepSummary(Head):
@@ -147,9 +135,19 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
     published_rpm = np.interp(nominal.gap_rad, published.gap(grid), grid)
     ratio = nominal.amplitude_rpm.mean(axis=1) / published_rpm
+    # Noise-free speed over a rotation at a few gaps, for figures; it begins with a level arm.
+    example_gaps = np.geomspace(gap.low, gap.high, EXAMPLE_GAPS)
+    level_rad = 0.5 * math.pi - bench.value("gravity_angle_rad")
+    speeds = bench.simulate_many(
+        example_gaps, rotations=1.0, sampling_hz=section.sampling_hz, start_angle_rad=level_rad
+    )
     groups: dict[Group, object] = {
         SWEEP: (nominal, symbols),
-        EXAMPLES: _examples(bench, problem.settings),
+        EXAMPLES: {
+            "gap_rad": example_gaps,
+            "time_s": np.arange(speeds.shape[1]) / section.sampling_hz,
+            "motor_speed_rpm": speeds,
+        },
     }
     if swept is not None:
         groups[BENCH_DRAWS] = {

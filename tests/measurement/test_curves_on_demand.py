@@ -54,7 +54,7 @@ def task_of(recordings: list[Recording], folder: Path, bench: Path, store: WorkS
     )
     config = config_from_options("compare", (), tables)
     assert isinstance(config, SnapshotConfig)
-    return Task(config, tuple(recordings), Seeds.spawn(1, len(recordings)), swept=store)
+    return Task(config, tuple(recordings), Seeds.spawn(1, len(recordings)), work=store)
 
 
 def ringing(made: Recording) -> MeasuredRinging:
