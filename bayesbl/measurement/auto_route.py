@@ -83,8 +83,15 @@ class AutoMeasurer(Measurer):
 
     def _of_both(self, direct: Measurement, amplitude: Measurement) -> Measurement:
         """The direct answer, unless that route itself failed and the amplitude has an answer."""
-        if self.amplitude.bench is not None:
-            amplitude = _without_contradicted(direct, amplitude)
+        if self.amplitude.bench is not None:  # what contradicts the bench contradicts its curve
+            against = Reason("recording_contradicts_bench")
+            answers = [
+                own
+                if other.model_check["agrees"]
+                else replace(own, reasons=(against, *own.reasons), model_check=other.model_check)
+                for own, other in zip(amplitude.answers, direct.answers, strict=True)
+            ]
+            amplitude = replace(amplitude, answers=answers)
         failed = [
             reason
             for answer in direct.answers
@@ -115,20 +122,6 @@ def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | 
         return measure(task)
     except (RecordingError, CurveError, BenchError) as refusal:
         return refusal  # other errors (files that cannot be read or written) are not the route's
-
-
-def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measurement:
-    """Withhold the amplitude's answer where the direct route's check contradicts the bench."""
-    against = Reason("recording_contradicts_bench")
-    answers = [
-        answer
-        if direct_answer.model_check["agrees"]
-        else replace(
-            answer, reasons=(against, *answer.reasons), model_check=direct_answer.model_check
-        )
-        for direct_answer, answer in zip(direct.answers, amplitude.answers, strict=True)
-    ]
-    return replace(amplitude, answers=answers)
 
 
 def disagreement(first: Measurement, second: Measurement, **values: object) -> Reason | None:

@@ -227,7 +227,10 @@ class DirectMeasurer(Measurer):
         texts = (
             Reason.of_text("recording", text) for text in (*recording.notes, *observation.notes)
         )
-        notes = (*texts, *self._beyond_the_bench(match), *self._counted_twice(recording))
+        notes = [*texts, *self._beyond_the_bench(match)]
+        entry, identified = self.config.entry_of(recording.name), self.bench.identified
+        if identified is not None and file_sha256(entry.file) in identified.sources:
+            notes.append(Reason("counted_twice", {"name": entry.name}))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
         groups, numbers = shared.stored(
@@ -262,13 +265,6 @@ class DirectMeasurer(Measurer):
             if effect.name == "sampled_control" and effect.name not in stated:
                 period_s = effect.complete()["period_s"]
                 yield Reason("controller_period", {"period_s": period_s})
-
-    def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
-        """Yield a note if the bench was identified from this very recording."""
-        joint = self.bench.identified
-        entry = self.config.entry_of(recording.name)
-        if joint is not None and file_sha256(entry.file) in joint.sources:
-            yield Reason("counted_twice", {"name": entry.name})
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
