@@ -246,7 +246,7 @@ def sweep(
 ) -> SweepResult:
     """Simulate a bench over a range of gaps, as a configuration states, to make its gap curve.
 
-    Only the simulations are written, into ``.curves`` beside the output, for other sweeps.
+    Only the simulations are written, into ``.finished`` beside the output, for other sweeps.
 
     Raises
     ------
@@ -407,13 +407,9 @@ def _written(file: Path, columns: Mapping[str, Any]) -> Path:
 
 def _made(config: RunConfig, tell: StageProgress | None) -> Any:
     """The result object of a configuration."""
-    from bayesbl.config.measurement import SnapshotConfig
-    from bayesbl.measurement.routes import measure
     from bayesbl.presentation.result_object import result_of
     from bayesbl.runs.kinds import result_of_run
 
-    if isinstance(config, SnapshotConfig):  # a run would keep its curves beside its output
-        return result_of(measure(config, tell))
     return result_of(result_of_run(config, tell))
 
 

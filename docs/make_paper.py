@@ -226,7 +226,10 @@ def _result(path: str) -> str:
         If it does not.
     """
     route, group, variable = path.split("/")
-    names = [*vars(import_module(ROUTES[route])).values(), *vars(shared_groups).values()]
+    names = [
+        *vars(import_module(ROUTES[route].partition(":")[0])).values(),
+        *vars(shared_groups).values(),
+    ]
     (declared,) = [one for one in names if isinstance(one, Group) and one.name == group]
     declared.variable(variable)
     return f"`{path}`"

@@ -17,7 +17,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve
-from bayesbl.curve.sweep import SweepSettings, swept_curve
+from bayesbl.curve.sweep import SweepSettings
 from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.curves import SweepProblem
 from bayesbl.recording.types import FloatArray
@@ -42,12 +42,9 @@ def curve(
     )
     model = Estimator().model
     problem = SweepProblem(bench, model, settings, 1, NOTHING_KEPT)
-    seeds = np.random.SeedSequence(1).spawn(3)
     begin = time.perf_counter()
-    nominal = problem.nominal(seeds[0], 1)
-    drawn = problem.draws(nominal, benches, seeds[1], 1)
-    seconds = time.perf_counter() - begin
-    return swept_curve("counts", nominal, model, 3, "{}", seeds[2], drawn), seconds
+    made, _, _ = problem.curve("counts", 3, "{}", bench.value("reference_speed_rpm"), benches, 1)
+    return made, time.perf_counter() - begin
 
 
 def width(found: GapCurve, amplitude_rpm: FloatArray) -> FloatArray:

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesbl.config.sections import Interval
+from bayesbl.config.kinds import FleetConfig, FleetSection
+from bayesbl.config.sections import ClusterRun, Interval
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.measured_joint import REFUSED, JointAnswer, RecordingAnswer
 from bayesbl.fleet.plant_tables import (
@@ -83,6 +84,13 @@ def simulated(
         yield Measured(joint, found, dates, tuple(outcomes)), rows
 
 
+def config_of(pool_by: str | None, before: date | None) -> FleetConfig:
+    """What the summary takes of a fleet's configuration."""
+    section = FleetSection.model_construct(pool_by=pool_by, decide_before=before)
+    run = ClusterRun.model_construct(seed=1)
+    return FleetConfig.model_construct(fleet=section, interval=LEVEL, run=run)
+
+
 def main(folder: Path, joints: int = 1000, recordings: int = 24) -> None:
     """Write the plant, and print how long each step took."""
     folder.mkdir(parents=True)
@@ -103,7 +111,7 @@ def main(folder: Path, joints: int = 1000, recordings: int = 24) -> None:
     write_table(rows, RECORDING_COLUMNS, folder / "recordings.parquet")
     write_table(of_joints, JOINT_COLUMNS, folder / "joints.parquet")
     took("tables")
-    summary = summary_of(rows, of_joints, types, LEVEL, 1, "gearbox", date(2027, 1, 1))
+    summary = summary_of(config_of("gearbox", date(2027, 1, 1)), rows, of_joints, types)
     write_json(summary, folder / "summary.json")
     write_pages(folder)
     took("pages")

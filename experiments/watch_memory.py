@@ -81,7 +81,7 @@ def _watch(folder: Path, recordings: int) -> None:
         if count > 1 and count % EVERY:
             return
         took, clock = time.process_time() - clock, time.process_time()
-        written = [folder / ".plant.kept", folder / ".plant.fits", folder / "plant_watched"]
+        written = [folder / ".plant.kept", folder / ".finished", folder / "plant_watched"]
         size = sum(f.stat().st_size for place in written for f in place.iterdir()) / 1e6
         resident, own = memory_mb()
         print(

@@ -159,7 +159,7 @@ workers | whole | N | Largest number of processes; results do not depend on it. 
     cores; simulate: 1]
 scheduler | text | ADDRESS | Run a study or a fleet on the Dask cluster of this scheduler, e.g.
     tcp://host:8786.
-force | flag | - | Replace a finished result, or start over.
+force | flag | - | Replace a finished result.
 json | flag | - | Print the summary as JSON, nothing else.
 curve | text | published|RESULT | Gap curve: the result of a sweep, its folder or result.nc; or
     the paper's, by name. [default: swept from the bench; none without one]

@@ -433,10 +433,10 @@ def config_from_options(
 
     ``kind``: that of ``config``, or a measurement if there are ``recordings``. These are relative
     to the working directory and replace those of ``config``, which may be of any kind that shares
-    the sections; what it states about the same files is kept. ``dates``: when each recording was
-    taken. ``options``: keys of :data:`OPTIONS`, ``None`` if not given, with paths relative to the
-    working directory. Raises ConfigError as :func:`load_config`; problems of options name the
-    option.
+    the sections; what it states about the same files is kept, but not its output folder. ``dates``:
+    when each recording was taken. ``options``: keys of :data:`OPTIONS`, ``None`` if not given, with
+    paths relative to the working directory. Raises ConfigError as :func:`load_config`; problems of
+    options name the option.
     """
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
     document.of_kind(_sharing(kind))
@@ -444,7 +444,9 @@ def config_from_options(
     if kind in _OF_A_BENCH and document.kind not in ("", kind):
         tables = {name: tables[name] for name in _COMMON_SECTIONS if name in tables}
         tables["kind"] = kind
-        tables["run"] = {k: v for k, v in tables.get("run", {}).items() if k != "output"}
+    if recordings and isinstance(run := tables.get("run"), dict):
+        # The output folder of the file is that of its own recordings.
+        tables["run"] = {key: value for key, value in run.items() if key != "output"}
     origins: dict[Location, str] = {("kind",): "command"}
     if dates and len(dates) != len(recordings):
         raise ConfigError(

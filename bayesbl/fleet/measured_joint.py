@@ -29,7 +29,6 @@ from bayesbl.errors import UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, Found, Joint, digest_of_file, file_state
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
-from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason, Seeds
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored import stored_answers
@@ -38,7 +37,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import file_sha256
 from bayesbl.results.store import summary_of
-from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.results.work import STORE, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 
 REFUSED, FAILED = "refused", "failed"  # further outcomes: an unusable recording, and a bug
@@ -140,11 +139,6 @@ class JointJob:
             day if dates.count(day) == 1 else f"{day}-{dates[: n + 1].count(day)}"
             for n, day in enumerate(dates)
         ]
-
-    @property
-    def by_amplitude(self) -> bool:
-        """Whether no recording is compared with a bench."""
-        return self.joint.bench is None or self.fleet.estimator.route == "amplitude"
 
     def problem(self) -> dict[str, Any]:
         """All that determines the answer, files by their content."""
@@ -415,16 +409,8 @@ def _unknowns(bench: Bench, name: str) -> list[Unknown]:
 
 def _measured(job: JointJob, config: SnapshotConfig, numbers: Sequence[int]) -> xr.DataTree:
     """Measure recordings; fits are stored for ``compare`` to reuse."""
-    output = job.fleet.run.output
-    work, swept = NOTHING_KEPT, WorkStore.shared(output.parent / STORE)
-    if job.by_amplitude:
-        work = WorkStore.shared(fits_beside(output))
-    return measure(config, work=work, swept=swept, seeds=job.seeds(numbers))
-
-
-def fits_beside(output: Path) -> Path:
-    """Folder of finished fits of a fleet with this output folder."""
-    return output.with_name(f".{output.name}.fits")
+    work = WorkStore.shared(job.fleet.run.output.parent / STORE)
+    return measure(config, work=work, seeds=job.seeds(numbers))
 
 
 def _thin(draws: NDArray[Any]) -> NDArray[Any]:

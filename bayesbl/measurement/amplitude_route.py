@@ -7,50 +7,60 @@ the noise of the recording. The gap curve converts the draws of A to draws of δ
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
+from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import Interval as IntervalConfig
+from bayesbl.config.sections import PUBLISHED
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
+from bayesbl.curve.sweep import SweepSettings
 from bayesbl.errors import NeedsBench, RecordingError, ResultError
+from bayesbl.matching.observed import reference_speed
+from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.compatibility import bench_of, unsuited
-from bayesbl.measurement.curves import CURVE, CurveMeasurer, curves_group
+from bayesbl.measurement.compatibility import (
+    bench_of,
+    bench_with,
+    other_speed,
+    require_one_speed_of_all,
+    require_same_estimator,
+    unsuited,
+)
+from bayesbl.measurement.curves import CURVE, SweepProblem, curves_group, read_curve
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
     JointCheck,
     Measurement,
+    Measurer,
     Reason,
     Task,
     check_item,
+    estimator_of,
     joint_check,
     outcome_of,
     sampling_reasons,
 )
 from bayesbl.measurement.same_joint import COULD_BE, HARMLESS_SD, RINGING, change_reason, same_joint
 from bayesbl.measurement.stored import routes_of, stored_answers
-from bayesbl.measurement.summary_types import NoiseSummary
-from bayesbl.noise.rotation_noise import Noise
 from bayesbl.probabilities import FALSE_ALARM, ends, normal_isf
 from bayesbl.processes import processes
-from bayesbl.progress import Progress, StageProgress, of_stage
-from bayesbl.recording.checks import moves
+from bayesbl.progress import StageProgress, of_stage
+from bayesbl.recording.checks import moves, speed_in_another_unit
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_SPEED, FloatArray, Recording
-from bayesbl.results.intervals import interval
+from bayesbl.results.intervals import Interval
 from bayesbl.results.store import read_tree
-from bayesbl.results.variables import Group, Variable, datasets, labels, table
+from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
+from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate, nominal_speed_rpm
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
 from bayesbl.ringing.pointwise import likelihood_draws, predicted, speed_at
@@ -76,6 +86,22 @@ MOVES_RINGING = {
 }
 """Features that show controller gains and gravity. The ringing amplitude goes with at most the
 first power of these; friction hardly changes it."""
+
+
+GAPS, START_ANGLES = 20, 4
+"""Gaps and start angles of a curve on demand. Against 60 gaps, 16 start angles and 5 rotations the
+error of δ is far less than the uncertainty by the amplitude (``experiments/curve_counts.py``)."""
+
+MOST_ROTATIONS = 3
+"""Simulated load rotations: more change the fitted amplitude by less than 0.03 % of δ."""
+
+DRAWS_PER_TERM = 3
+"""Swept benches per term of the linear model in the parameters. With 24 benches for seven
+parameters the curve's band is as wide as with 150, within 3 % (same command)."""
+
+DEGREE = 3
+SEED = 20260301
+"""One seed for all curves on demand, so that the store serves runs of every seed."""
 
 
 def _symbol(*dims: str) -> Callable[[str], Variable | None]:
@@ -140,12 +166,12 @@ OPTIMUM = Group(
     "optimum",
     table("""
         baseline_rpm (baseline_term) | rpm | load-angle harmonics of the speed
-        rmse_rpm | rpm | root mean square error
-        relative_rmse | 1 | RMSE over the standard deviation of the speed
+        rmse_rpm! | rpm | root mean square error
+        relative_rmse! | 1 | RMSE over the standard deviation of the speed
         evaluations | 1 | model evaluations
         search_seconds | s | time of the search
         covariance (parameter, parameter_) | products of units | sandwich covariance of the optimum
-        impact_sd_rpm (case) | rpm | standard deviation of A from impact to impact, beyond noise
+        impact_sd_rpm! (case) | rpm | standard deviation of A from impact to impact, beyond noise
         impact_loss (case) | 1 | share of A that is lost because impacts come early or late
         rival_amplitude_rpm (rival) | rpm | amplitude at other local optima
         rival_rmse_rpm (rival) | rpm | root mean square error at other local optima
@@ -194,14 +220,55 @@ MISFIT = Group(
 )
 
 
-class AmplitudeMeasurer(CurveMeasurer):
-    """The amplitude route, with its estimator and the source of its gap curves."""
+@dataclass(frozen=True, slots=True)
+class _Need:
+    """What determines the curve of a recording, besides bench file and estimator.
+
+    ``known``: bench values that differed when the recording was made.
+    """
+
+    reference_speed_rpm: float
+    sampling_hz: float
+    rotations: int
+    known: tuple[tuple[str, float], ...]
+
+    def __str__(self) -> str:
+        return f"{self.sampling_hz:g} Hz at {abs(self.reference_speed_rpm):g} rpm"
+
+
+class AmplitudeMeasurer(Measurer):
+    """The amplitude route, with its estimator and the source of its gap curves.
+
+    ``named`` is the published curve, or that of a sweep: one for all recordings. Without one, the
+    ``bench`` is swept for the sampling rate, speed and length of each recording, if there is one.
+
+    Raises UserError if the named curve or the bench cannot be read.
+    """
+
+    def __init__(self, config: SnapshotConfig, bench: Bench | None = None) -> None:
+        super().__init__(config)
+        self.estimator = estimator_of(config)
+        self.named: GapCurve | None = None
+        self.bench: Bench | None = None
+        if config.curve.source is not None:
+            is_published = config.curve.source == PUBLISHED
+            self.named = published_curve() if is_published else read_curve(config.curve.source)
+            self.gap_range_rad = self.named.gap_range_rad
+        elif bench is not None or config.estimator.bench is not None:
+            self.bench = bench_of(config) if bench is None else bench
+            self.gap_range_rad = (SMALLEST_GAP_RAD, SweepSettings().high_rad)
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """Yield estimator and curve, and the earlier optimum and second sampler if configured."""
-        estimator = self.estimator
+        estimator, curve = self.estimator, self.named
         yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
-        yield "curve", self.describe_curve
+        if curve is not None:
+            yield "curve", lambda: curve.name
+        elif self.bench is not None:
+            yield "curve", lambda: f"swept from {self.config.estimator.bench} on demand"
+        else:
+            none = "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
+            yield "curve", lambda: none
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
             yield "start from", lambda: f"{', '.join(read_earlier(start_from))} in {start_from}"
@@ -224,38 +291,131 @@ class AmplitudeMeasurer(CurveMeasurer):
                     "--bench` begins one, and `bayesbl identify` of three such motions completes it"
                 ),
             )
-        super().require_usable(recording)
+        if self.named is not None:
+            require_same_estimator(self.named, self.estimator, recording)
+        elif (bench := self.bench_of(recording)) is not None:
+            speed = self._need(recording, bench).reference_speed_rpm
+            require_flank_change(bench, [speed], self.config.estimator.bench)
+
+    def doubts(self, recording: Recording) -> Iterator[Reason]:
+        """Yield why δ would be withheld whatever the fit: the curve belongs to another speed."""
+        if self.named is None or self.config.curve.allow_extrapolation:
+            return
+        if (against := other_speed(recording, self.named)) is not None:
+            if (question := self.question(recording)) is not None:
+                yield question
+            yield against
+
+    def question(self, recording: Recording) -> Reason | None:
+        """Ask whether the speed is in another unit, if that would explain why δ is withheld."""
+        speed_rpm = None if self.named is None else self.named.reference_speed_rpm
+        text = speed_in_another_unit(recording, speed_rpm)
+        return None if text is None else Reason.of_text("speed_unit", text)
+
+    def require_together(self, recordings: Sequence[Recording]) -> str | None:
+        """The speed they share. With a bench, each recording has a curve of its own speed."""
+        if self.bench is not None or len(recordings) < 2:
+            return None
+        require_one_speed_of_all(recordings)
+        return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
+
+    def bench_of(self, recording: Recording) -> Bench | None:
+        """The bench at the time of a recording; ``None`` if no curves are swept from a bench."""
+        if self.bench is None:
+            return None
+        return bench_with(self.bench, self.config.entry_of(recording.name).bench)
+
+    def curves(self, task: Task) -> list[GapCurve]:
+        """The curve of each recording, read or swept, in order; empty without one.
+
+        Raises BenchError if a simulation fails, and CurveError if A does not grow with δ.
+        """
+        if self.named is not None:
+            return [self.named] * len(task.recordings)
+        if self.bench is None:
+            return []
+        needs = [self._need(recording, self.bench) for recording in task.recordings]
+        curve_of_need = {
+            need: self._swept(need, task, recording)
+            for need, recording in dict(zip(needs, task.recordings, strict=True)).items()
+        }
+        return [curve_of_need[need] for need in needs]
+
+    def _need(self, recording: Recording, bench: Bench) -> _Need:
+        entry = self.config.entry_of(recording.name)
+        speed = reference_speed(recording, bench, entry.reference_speed_rpm)
+        recorded_rotations = recording.duration_s / bench.rotation_period_s(speed)
+        rotations = min(max(int(recorded_rotations), 2), MOST_ROTATIONS)
+        # The fingerprint of an estimator distinguishes rates to three digits.
+        sampling_hz = float(f"{1.0 / recording.sampling_period_s:.3g}")
+        return _Need(speed, sampling_hz, rotations, tuple(sorted(entry.bench.items())))
+
+    def _swept(self, need: _Need, task: Task, recording: Recording) -> GapCurve:
+        bench = self.bench_of(recording)
+        assert bench is not None
+        bench = bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
+        model = self.estimator.model
+        model = replace(model, ranges=model.lasting_ranges)
+        settings = SweepSettings(
+            low_rad=SMALLEST_GAP_RAD,
+            count=GAPS,
+            start_angles=START_ANGLES,
+            rotations=need.rotations,
+            sampling_hz=need.sampling_hz,
+        )
+        problem = SweepProblem(bench, model, settings, SEED, task.work)
+        report = of_stage(task.progress, f"Making the curve for {need}")
+        if report is not None:
+            report(0, 1)
+        parameters = len(bench.tolerances)
+        curve, _, _ = problem.curve(
+            str(self.config.estimator.bench),
+            DEGREE,
+            self.estimator.fingerprint(recording),
+            abs(need.reference_speed_rpm),
+            DRAWS_PER_TERM * (1 + parameters) if parameters else 0,
+            self.config.run.workers,
+            report,
+        )
+        if report is not None:
+            report(1, 1)
+        return curve
 
     def measure(self, task: Task) -> Measurement:
         """Fit every recording and convert its amplitude to a gap, if there is a curve."""
-        curves = self.curves(task)
-        curve_or_none: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
+        curves, entries = self.curves(task), task.config.recordings
+        curve_or_none: Sequence[GapCurve | None] = curves or [None] * len(entries)
         fits = run_fits(self._jobs(task, curve_or_none), task.config.run.workers, task.progress)
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
         gap_or_none: Sequence[Gap | None] = [None] * len(fits)
         stored = {}
-        if curves is not None:  # all snapshots go through the same draws of the curve
+        if curves:  # all snapshots go through the same draws of the curve
             level = task.config.interval.level
             gap_or_none = read_gaps = gaps(
                 curves,
                 [measured_ringing(fit) for fit in fits],
                 task.seeds.gap,
-                [entry.known_gap for entry in task.config.recordings],
+                [entry.known_gap for entry in entries],
                 allow_extrapolation=task.config.curve.allow_extrapolation,
                 level=level,
             )
             rows = [gap.rows for gap in read_gaps]
-            curve_dataset = curves_group(task.names, curves, rows, level, task.seeds.curve)
-            stored[CURVE.name] = curve_dataset
-        entries = task.config.recordings
+            stored[CURVE.name] = curves_group(task.names, curves, rows, level, task.seeds.curve)
         check = same_joint(
             [fit.point for fit in fits],
             [entry.repaired for entry in entries],
             [tuple(sorted(entry.bench.items())) for entry in entries],
             curve_or_none,
         )
+        ringing_change = None
+        if len(fits) > 1 and len({id(curve) for curve in curves}) <= 1:  # of one speed and rate
+            first, last = (
+                fits[at].posterior.draws[AMPLITUDE].ravel()[_index(fits[at], gap_or_none[at])]
+                for at in (0, -1)
+            )
+            ringing_change = np.asarray(last / first - 1.0)
         seeds = task.seeds.predictive.spawn(len(fits))
         parts = zip(task.recordings, fits, gap_or_none, curve_or_none, seeds, strict=True)
         return Measurement(
@@ -264,9 +424,9 @@ class AmplitudeMeasurer(CurveMeasurer):
             shared=stored,
             curve=curves[0].name if curves else "",
             warnings=curves[0].warnings if curves else (),
-            ringing_change=_ringing_change(fits, gap_or_none, curves),
+            ringing_change=ringing_change,
             same_joint=check,
-            change_reason=None if curves is None else change_reason(check),
+            change_reason=change_reason(check) if curves else None,
         )
 
     def _answer(
@@ -279,7 +439,10 @@ class AmplitudeMeasurer(CurveMeasurer):
         task: Task,
     ) -> Answer:
         level = task.config.interval.level
-        groups = amplitude_groups(fit, gap, curve, level, seed)
+        groups, numbers = shared.stored(
+            amplitude_groups(fit, gap, curve, level, seed), task.config.interval
+        )
+        groups["optimum"].attrs["method"] = fit.point.optimum.method
         check, unlike = self._against_bench(recording, fit, gap, curve, level)
         unsuitable = unsuited(recording, fit, curve, task.config)
         against = [*reasons_as_printed(fit, curve), *unsuitable, *unlike]
@@ -290,7 +453,7 @@ class AmplitudeMeasurer(CurveMeasurer):
             None if gap is None else gap.delta_rad,
             reasons,
             groups,
-            _numbers(fit, groups["posterior"], task.config.interval),
+            {**numbers, **_numbers(fit, numbers["parameters"])},
             check,
             gap.upper_bound_rad if gap is not None and bounded else None,
         )
@@ -352,32 +515,24 @@ class AmplitudeMeasurer(CurveMeasurer):
         return jobs
 
 
-def _ringing_change(
-    fits: Sequence[Fit], gaps_by_curve: Sequence[Gap | None], curves: Sequence[GapCurve] | None
-) -> FloatArray | None:
-    """Draws of last amplitude / first amplitude − 1, if all recordings share one speed and rate."""
-    if len(fits) < 2 or len({id(curve) for curve in curves or ()}) > 1:
-        return None
-    first, last = (
-        fits[at].posterior.draws[AMPLITUDE].ravel()[_index(fits[at], gaps_by_curve[at])]
-        for at in (0, -1)
-    )
-    return np.asarray(last / first - 1.0)
-
-
-def _numbers(fit: Fit, posterior: xr.Dataset, section: IntervalConfig) -> dict[str, Any]:
-    """The snapshot's keys of the summary, with the misfit, the start and the second sampler."""
-    point, optimum = fit.point, fit.point.optimum
-    parameters = shared.intervals(posterior, (s for s in SYMBOLS if s in posterior), section)
+def _numbers(fit: Fit, parameters: Mapping[str, Interval]) -> dict[str, Any]:
+    """Further keys of the summary, with the misfit, the start and the second sampler."""
+    point, optimum, noise = fit.point, fit.point.optimum, fit.point.noise
+    evidence = noise.student_t_evidence
     numbers: dict[str, Any] = {
         "amplitude_rpm": parameters[AMPLITUDE],
-        "parameters": parameters,
         "optimum": {**optimum.symbols, "rmse_rpm": optimum.rmse_rpm},
-        "rmse_rpm": optimum.rmse_rpm,
-        "relative_rmse": optimum.relative_rmse,
-        "noise": _noise_summary(point.noise),
+        "noise": {
+            "kind": noise.kind,
+            "order": noise.order,
+            "sd_rpm": noise.sd_rpm,
+            "coefficients": noise.coefficients.tolist(),
+            "degrees_of_freedom": noise.degrees_of_freedom,
+            "student_t_evidence": evidence if np.isfinite(evidence) else None,
+            "differentiated": noise.differentiated,
+            "repeating_rounding_sd_rpm": noise.hidden_sd_rpm,
+        },
         "misfit_rms_rpm": point.misfit.rms_rpm,
-        "impact_sd_rpm": interval(point.spread.impact_sd_rpm, section.level, section.kind),
     }
     if point.start:
         numbers["start"] = point.start
@@ -400,20 +555,6 @@ def _numbers(fit: Fit, posterior: xr.Dataset, section: IntervalConfig) -> dict[s
     return numbers
 
 
-def _noise_summary(noise: Noise) -> NoiseSummary:
-    evidence = noise.student_t_evidence
-    return {
-        "kind": noise.kind,
-        "order": noise.order,
-        "sd_rpm": noise.sd_rpm,
-        "coefficients": noise.coefficients.tolist(),
-        "degrees_of_freedom": noise.degrees_of_freedom,
-        "student_t_evidence": evidence if np.isfinite(evidence) else None,
-        "differentiated": noise.differentiated,
-        "repeating_rounding_sd_rpm": noise.hidden_sd_rpm,
-    }
-
-
 def reasons_of(
     fit: Fit,
     gap: Gap | None,
@@ -422,14 +563,9 @@ def reasons_of(
 ) -> list[Reason]:
     """List the reasons and notes of one snapshot's answer, the gravest first.
 
-    Parameters
-    ----------
-    gap
-        ``None`` without a curve: the answer is then the amplitude of the ringing.
-    unsuited
-        Reasons other than those of the fit and of the gap.
-    question
-        What to ask the user before anything else if δ is withheld.
+    ``gap``: ``None`` without a curve: the answer is then the amplitude of the ringing.
+    ``unsuited``: reasons other than those of the fit and of the gap. ``question``: what to ask the
+    user before anything else if δ is withheld.
     """
     sampling = sampling_reasons(fit.posterior.diagnostics)
     notes = [Reason.of_text("mended", text) for text in fit.point.notes]
@@ -446,55 +582,41 @@ def reasons_of(
     return reasons
 
 
-def prepare(config: SnapshotConfig) -> AmplitudeMeasurer:
-    """Create the measurer, with the bench if one is configured and no curve is named."""
-    file = config.estimator.bench
-    swept = file is not None and config.curve.source is None
-    return AmplitudeMeasurer(config, bench_of(config) if swept else None)
-
-
 def amplitude_groups(
     fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float, seed: np.random.SeedSequence
-) -> dict[str, xr.Dataset]:
-    """All groups of one recording, without a ``snapshot`` dimension."""
+) -> dict[Group, object]:
+    """Data of all groups of one recording."""
     index, point, posterior = _index(fit, gap), fit.point, fit.posterior
-    groups = datasets(
-        {
-            POSTERIOR: (
-                {name: values.ravel()[index] for name, values in posterior.draws.items()},
-                {
-                    "baseline_rpm": posterior.baseline_rpm.reshape(index.size, -1)[index],
-                    "baseline_term": _baseline_terms(fit),
-                },
-                gap,
-            ),
-            SAMPLE_STATS: (
-                {
-                    "lp": posterior.log_likelihood.ravel()[index],
-                    "acceptance_rate": posterior.diagnostics.acceptance,
-                },
-                gap,
-            ),
-            **_noise_only(fit, curve, np.random.default_rng(seed)),
-            **shared.common_groups(
-                point.recording,
-                [MOTOR_SPEED],
-                posterior.diagnostics,
-                {} if gap is None else gap.budget,
-                point.objective.duration_s / point.optimum.symbols[ROTATION],
-            ),
-            PREDICTIVE: _predictive(fit, level),
-            OPTIMUM: (point.optimum, _optimum(fit)),
-            SEARCH_HISTORY: point.optimum.history,
-            NOISE: (
-                point.noise,
-                {"degrees_of_freedom": point.noise.degrees_of_freedom or np.inf},
-            ),
-            MISFIT: point.misfit,
-        }
-    )
-    groups["optimum"].attrs["method"] = point.optimum.method
-    return groups
+    return {
+        POSTERIOR: (
+            {name: values.ravel()[index] for name, values in posterior.draws.items()},
+            {
+                "baseline_rpm": posterior.baseline_rpm.reshape(index.size, -1)[index],
+                "baseline_term": _baseline_terms(fit),
+            },
+            gap,
+        ),
+        SAMPLE_STATS: (
+            {
+                "lp": posterior.log_likelihood.ravel()[index],
+                "acceptance_rate": posterior.diagnostics.acceptance,
+            },
+            gap,
+        ),
+        **_noise_only(fit, curve, np.random.default_rng(seed)),
+        **shared.common_groups(
+            point.recording,
+            [MOTOR_SPEED],
+            posterior.diagnostics,
+            {} if gap is None else gap.budget,
+            point.objective.duration_s / point.optimum.symbols[ROTATION],
+        ),
+        PREDICTIVE: _predictive(fit, level),
+        OPTIMUM: (point.optimum, _optimum(fit)),
+        SEARCH_HISTORY: point.optimum.history,
+        NOISE: (point.noise, {"degrees_of_freedom": point.noise.degrees_of_freedom or np.inf}),
+        MISFIT: point.misfit,
+    }
 
 
 def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
@@ -625,10 +747,7 @@ def _optimum(fit: Fit) -> dict[str, object]:
 def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
     """Optima of a fit or a comparison, by name of the recording, in order.
 
-    Raises
-    ------
-    ResultError
-        If the result cannot be read, or has no optimum of the ringing.
+    Raises ResultError if the result cannot be read, or has no optimum of the ringing.
     """
     tree = read_tree(path)
     if NAME not in routes_of(tree):
@@ -670,21 +789,18 @@ class FitJob:
 
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording, or recall the fit from the store of an unfinished run."""
-        step = of_stage(progress, f"Sampling {self.recording.name}")
-        return self.work.get("fit", self, lambda: self._made(step), Fit)
-
-    def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve
-        branch = None if curve is None else partial(likeliest_branch, curve, self.estimator)
-        return self.estimator.fit(
+        make = partial(
+            self.estimator.fit,
             self.recording,
             self.seed,
             self.gear_ratio,
-            progress,
-            branch,
+            of_stage(progress, f"Sampling {self.recording.name}"),
+            None if curve is None else partial(likeliest_branch, curve, self.estimator),
             earlier=self.earlier,
             check=self.check,
         )
+        return self.work.get("fit", self, make, Fit)
 
 
 def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | None) -> list[Fit]:

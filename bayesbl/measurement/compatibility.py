@@ -7,8 +7,7 @@ configuration overrides.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -37,12 +36,9 @@ LASTING = {
 def bench_of(config: SnapshotConfig) -> Bench:
     """Read and check the bench of the joint.
 
-    Raises
-    ------
-    ConfigError
-        If there is no bench, it has no gap to measure, or it lacks a parameter that may drift.
-    BenchError
-        If the bench of a recording makes no physical sense, or cannot be simulated.
+    Raises ConfigError if there is no bench, it has no gap to measure, or it lacks a parameter that
+    may drift, and BenchError if the bench of a recording makes no physical sense, or cannot be
+    simulated.
     """
     file = config.estimator.bench
     if file is None:
@@ -82,25 +78,16 @@ def bench_of(config: SnapshotConfig) -> Bench:
 def bench_with(bench: Bench, known: Mapping[str, float]) -> Bench:
     """Replace the values of parameters and of effects' parameters (``effect.parameter``).
 
-    Raises
-    ------
-    BenchError
-        If a value makes no physical sense.
+    Raises BenchError if a value makes no physical sense.
     """
-    effects = [
-        BenchEffect(
-            effect.name,
-            {
-                **effect.parameters,
-                **{
-                    name.partition(".")[2]: EffectParameterValue(value)
-                    for name, value in known.items()
-                    if name.partition(".")[0] == effect.name
-                },
-            },
-        )
-        for effect in bench.effects
-    ]
+    effects = []
+    for effect in bench.effects:
+        own = {
+            name.partition(".")[2]: EffectParameterValue(value)
+            for name, value in known.items()
+            if name.partition(".")[0] == effect.name
+        }
+        effects.append(BenchEffect(effect.name, {**effect.parameters, **own}))
     parameters = {name: value for name, value in known.items() if "." not in name}
     return bench.with_effects(*effects).with_parameters(**parameters)
 
@@ -163,10 +150,7 @@ LIMIT_BEYOND = 10.0
 def limit_rad_of(config: SnapshotConfig) -> float | None:
     """The limit of δ, rad, however it is stated; ``None`` without one.
 
-    Raises
-    ------
-    ConfigError
-        If the joint's wind-up is not known, or leaves no room for a gap.
+    Raises ConfigError if the joint's wind-up is not known, or leaves no room for a gap.
     """
     limit = config.joint.limit
     return config.joint.limit_rad if limit is None else limit.delta_rad(windup_rad_of(config))
@@ -232,6 +216,13 @@ def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Rec
     different = {k for k in {*of_fit, *of_curve} if of_fit.get(k) != of_curve.get(k)}
     if abs(of_fit[SPEED] / of_curve[SPEED] - 1.0) <= SPEED_TOLERANCE:
         different.discard(SPEED)
+
+    def entry(key: str, fingerprint: Mapping[str, object]) -> str:
+        if key not in fingerprint:
+            return f"no {key}"
+        value = fingerprint[key]
+        return f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"
+
     if different:
         names = sorted(different)
         problem = (
@@ -243,18 +234,16 @@ def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Rec
             problem,
             file=curve.name,
             where=", ".join(names),
-            found="; ".join(f"{_entry(k, of_curve)} in the curve" for k in names),
-            expected="; ".join(f"{_entry(k, of_fit)} as in {recording.name}" for k in names),
+            found="; ".join(f"{entry(k, of_curve)} in the curve" for k in names),
+            expected="; ".join(f"{entry(k, of_fit)} as in {recording.name}" for k in names),
         )
 
 
 def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
     """Require that all snapshots have one speed, in either direction.
 
-    Raises
-    ------
-    RecordingError
-        If not: the same gap rings differently at another speed, and that would pass for wear.
+    Raises RecordingError if not: the same gap rings differently at another speed, and that would
+    pass for wear.
     """
     first = recordings[0]
     for other in recordings[1:]:
@@ -287,38 +276,22 @@ def other_speed(recording: Recording, curve: GapCurve) -> Reason | None:
     return Reason("other_speed", values)
 
 
-def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> Reason | None:
-    """Why the fitted rotation is not that of the load; ``None`` if it may be."""
-    if gear_ratio is None:
-        return None
-    found_s = fit.point.optimum.symbols[ROTATION]
-    speed = nominal_speed_rpm(recording)
-    expected_s = 60.0 * gear_ratio / speed
-    if abs(found_s / expected_s - 1.0) <= ROTATION_APART:
-        return None
-    values = {
-        "rotation_s": found_s,
-        "expected_s": expected_s,
-        "gear_ratio": gear_ratio,
-        "speed_rpm": speed,
-        "fitting_ratio": found_s * speed / 60.0,
-    }
-    return Reason("other_rotation", values)
-
-
 def unsuited(
     recording: Recording, fit: Fit, curve: GapCurve | None, config: SnapshotConfig
-) -> list[Reason]:
-    """Reasons why recording, estimator, curve and gear ratio do not belong together."""
-    reasons = [other_rotation(recording, fit, config.joint.gear_ratio)]
+) -> Iterator[Reason]:
+    """Yield why recording, estimator, curve and gear ratio do not belong together."""
+    found_s, speed = fit.point.optimum.symbols[ROTATION], nominal_speed_rpm(recording)
+    if (gear_ratio := config.joint.gear_ratio) is not None:
+        expected_s = 60.0 * gear_ratio / speed
+        if abs(found_s / expected_s - 1.0) > ROTATION_APART:
+            values = {
+                "rotation_s": found_s,
+                "expected_s": expected_s,
+                "gear_ratio": gear_ratio,
+                "speed_rpm": speed,
+                "fitting_ratio": found_s * speed / 60.0,
+            }
+            yield Reason("other_rotation", values)
     if curve is not None and not config.curve.allow_extrapolation:
-        reasons.append(other_speed(recording, curve))
-    return [reason for reason in reasons if reason]
-
-
-def _entry(key: str, fingerprint: Mapping[str, Any]) -> str:
-    """An entry of a fingerprint as text."""
-    if key not in fingerprint:
-        return f"no {key}"
-    value = fingerprint[key]
-    return f"{key} = {value:.6g}" if isinstance(value, float) else f"{key} = {value}"
+        against = other_speed(recording, curve)
+        yield from () if against is None else (against,)

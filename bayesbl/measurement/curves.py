@@ -1,14 +1,13 @@
-"""Source of the gap curve (amplitude to gap): a named curve, a sweep of the bench, or none.
+"""Gap curves (amplitude to gap): how they are stored, and swept.
 
-The bench is swept for the sampling rate, speed and length of each recording. Sweeps are stored by
-content, so the same bench with the same needs is read from the store. All curves of a bench use the
-same draws of its parameters. Unknown parameters therefore cancel in a change, also between
-recordings of different speeds and rates.
+Sweeps are stored by content, so the same bench with the same needs is read from the store. All
+curves of a bench use the same draws of its parameters. Unknown parameters therefore cancel in a
+change, also between recordings of different speeds and rates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -19,10 +18,8 @@ import xarray as xr
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from bayesbl.bench.bench import Bench, require_flank_change
-from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import PUBLISHED
-from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
+from bayesbl.bench.bench import Bench
+from bayesbl.curve.gap_curve import GapCurve, Ringing
 from bayesbl.curve.sweep import (
     SweepRow,
     SweepSettings,
@@ -33,24 +30,13 @@ from bayesbl.curve.sweep import (
     swept_curve,
 )
 from bayesbl.errors import BenchError, CurveError
-from bayesbl.matching.observed import reference_speed
-from bayesbl.matching.signals import SMALLEST_GAP_RAD
-from bayesbl.measurement.compatibility import (
-    bench_with,
-    other_speed,
-    require_one_speed_of_all,
-    require_same_estimator,
-)
-from bayesbl.measurement.measurement import Measurer, Reason, Task, estimator_of
 from bayesbl.probabilities import ends
 from bayesbl.processes import processes
-from bayesbl.progress import Progress, of_stage
-from bayesbl.recording.checks import speed_in_another_unit
-from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.progress import Progress
+from bayesbl.recording.types import FloatArray
 from bayesbl.results.store import read_tree, texts
 from bayesbl.results.variables import Group, Variable, dataset, stack_snapshots, table
-from bayesbl.results.work import WorkStore
-from bayesbl.ringing.estimator import nominal_speed_rpm
+from bayesbl.results.work import LARGEST_STORE_BYTES, WorkStore
 from bayesbl.ringing.symbols import DisturbanceModel
 
 AMPLITUDES, BAND_DRAWS = 200, 1000
@@ -117,12 +103,8 @@ def curves_group(
 ) -> xr.Dataset:
     """Group :data:`CURVE` of a measurement.
 
-    Parameters
-    ----------
-    curves
-        One per recording. Different curves are stacked over the union of their amplitude ranges.
-    rows
-        For each recording, by source, the curve draw that each draw of δ used.
+    ``curves``: one per recording. Different curves are stacked over the union of their amplitude
+    ranges. ``rows``: for each recording, by source, the curve draw that each draw of δ used.
     """
     if all(curve is curves[0] for curve in curves):
         return curve_group(curves[0], level, seed, rows[0])
@@ -214,12 +196,8 @@ def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
 def read_curve(path: str | Path) -> GapCurve:
     """Read the gap curve from the result of a sweep.
 
-    Raises
-    ------
-    ResultError
-        If the file is missing, damaged or unfinished.
-    CurveError
-        If the result holds no curve.
+    Raises ResultError if the file is missing, damaged or unfinished, and CurveError if the result
+    holds no curve.
     """
     tree = read_tree(path)
     if CURVE.name not in tree.children:
@@ -242,36 +220,44 @@ class SweepProblem:
     seed: int
     work: WorkStore
 
-    def nominal(self, seed: np.random.SeedSequence, workers: int) -> SweepRow:
-        """The row of the nominal bench.
-
-        Raises
-        ------
-        BenchError
-            If a simulation fails, or cannot be fitted.
-        """
-        generator = np.random.default_rng(seed)
-        return self._row(
-            None, lambda: sweep_nominal(self.bench, self.model, self.settings, generator, workers)
-        )
-
-    def draws(
+    def curve(
         self,
-        nominal: SweepRow,
+        name: str,
+        degree: int,
+        fingerprint: str,
+        speed_rpm: float,
         count: int,
-        seed: np.random.SeedSequence,
         workers: int,
         progress: Progress | None = None,
-    ) -> SweptDraws | None:
-        """Sweep ``count`` benches drawn within the tolerances; ``None`` for a count of 0.
+    ) -> tuple[GapCurve, SweepRow, SweptDraws | None]:
+        """The gap curve, the row of the nominal bench, and those of ``count`` drawn benches.
 
-        The drawn benches depend on bench, count and seed alone. Two problems of one bench at
-        different speeds or rates therefore draw the same benches.
+        The curve belongs to ``speed_rpm``. The drawn benches depend on bench, count and seed alone,
+        so two problems of one bench at different speeds or rates draw the same ones.
+
+        Raises BenchError if a simulation fails, or cannot be fitted, and CurveError if A does not
+        grow with δ.
         """
-        if count == 0:
-            return None
-        tolerances = self.bench.tolerances
-        benches = [self.bench.draw(np.random.default_rng(s)) for s in seed.spawn(count)]
+        nominal_seed, draw_seed, curve_seed = np.random.SeedSequence(self.seed).spawn(3)
+        generator = np.random.default_rng(nominal_seed)
+        nominal = self._row(
+            None, lambda: sweep_nominal(self.bench, self.model, self.settings, generator, workers)
+        )
+        drawn = self._draws(nominal, draw_seed.spawn(count), workers, progress) if count else None
+        curve = swept_curve(name, nominal, self.model, degree, fingerprint, curve_seed, drawn)
+        self.work.keep_latest(size_bytes=LARGEST_STORE_BYTES)
+        return replace(curve, reference_speed_rpm=speed_rpm), nominal, drawn
+
+    def _draws(
+        self,
+        nominal: SweepRow,
+        seeds: Sequence[np.random.SeedSequence],
+        workers: int,
+        progress: Progress | None,
+    ) -> SweptDraws:
+        """Sweep a bench drawn within the tolerances for each seed."""
+        count, tolerances = len(seeds), self.bench.tolerances
+        benches = [self.bench.draw(np.random.default_rng(seed)) for seed in seeds]
         names = tuple(tolerances)
         shifts = np.array(
             [[(b.value(n) - self.bench.value(n)) / tolerances[n] for n in names] for b in benches]
@@ -326,192 +312,3 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
             expected="a bench whose gap shows in the motor speed",
         )
     return row
-
-
-GAPS, START_ANGLES = 20, 4
-"""Gaps and start angles of a curve on demand. Against 60 gaps, 16 start angles and 5 rotations the
-error of δ is far less than the uncertainty by the amplitude (``experiments/curve_counts.py``)."""
-
-MOST_ROTATIONS = 3
-"""Simulated load rotations: more change the fitted amplitude by less than 0.03 % of δ."""
-
-DRAWS_PER_TERM = 3
-"""Swept benches per term of the linear model in the parameters. With 24 benches for seven
-parameters the curve's band is as wide as with 150, within 3 % (same command)."""
-
-DEGREE = 3
-SEED = 20260301
-"""One seed for all curves on demand, so that the store serves runs of every seed."""
-
-STORE = ".curves"
-"""Folder beside the results that stores swept rows."""
-
-MOST_KEPT = 5000
-"""Rows in the store, some 10 kB each; the oldest are deleted first."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Need:
-    """What determines the curve of a recording, besides bench file and estimator.
-
-    ``known``: bench values that differed when the recording was made.
-    """
-
-    reference_speed_rpm: float
-    sampling_hz: float
-    rotations: int
-    known: tuple[tuple[str, float], ...]
-
-    def __str__(self) -> str:
-        return f"{self.sampling_hz:g} Hz at {abs(self.reference_speed_rpm):g} rpm"
-
-
-class CurveMeasurer(Measurer):
-    """A route that reads gaps from curves: a named one, one swept from the bench, or none.
-
-    Attributes
-    ----------
-    named
-        The published curve, or that of a sweep: one for all recordings.
-    estimator
-        Estimator of the ringing's amplitude.
-    bench
-        The bench to sweep for each recording, if no curve is named.
-
-    Raises
-    ------
-    UserError
-        If a named curve cannot be read.
-    """
-
-    def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
-        super().__init__(config)
-        self.estimator = estimator_of(config)
-        self.named: GapCurve | None = None
-        if config.curve.source is not None:
-            is_published = config.curve.source == PUBLISHED
-            self.named = published_curve() if is_published else read_curve(config.curve.source)
-            self.gap_range_rad = self.named.gap_range_rad
-        elif bench is not None:
-            self.gap_range_rad = (SMALLEST_GAP_RAD, SweepSettings().high_rad)
-        self.bench = bench if self.named is None else None
-
-    def describe_curve(self) -> str:
-        """The name of the curve, or where it comes from."""
-        if self.named is not None:
-            return self.named.name
-        if self.bench is not None:
-            return f"swept from {self.config.estimator.bench} on demand"
-        return "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
-
-    def require_usable(self, recording: Recording) -> None:
-        """Require that the named curve fits the estimator, or that the bench's gap shows.
-
-        Raises
-        ------
-        UserError
-            If not.
-        """
-        if self.named is not None:
-            require_same_estimator(self.named, self.estimator, recording)
-        elif (bench := self.bench_of(recording)) is not None:
-            speed = self._need(recording, bench).reference_speed_rpm
-            require_flank_change(bench, [speed], self.config.estimator.bench)
-
-    def doubts(self, recording: Recording) -> Iterator[Reason]:
-        """Yield why δ would be withheld whatever the fit: the curve belongs to another speed."""
-        if self.named is None or self.config.curve.allow_extrapolation:
-            return
-        if (against := other_speed(recording, self.named)) is not None:
-            if (question := self.question(recording)) is not None:
-                yield question
-            yield against
-
-    def question(self, recording: Recording) -> Reason | None:
-        """Ask whether the speed is in another unit, if that would explain why δ is withheld."""
-        speed_rpm = None if self.named is None else self.named.reference_speed_rpm
-        text = speed_in_another_unit(recording, speed_rpm)
-        return None if text is None else Reason.of_text("speed_unit", text)
-
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Raise if the recordings cannot be compared; return the speed they share.
-
-        With a bench, speeds and rates may differ, because each recording has its own curve.
-        """
-        if self.bench is not None or len(recordings) < 2:
-            return None
-        require_one_speed_of_all(recordings)
-        return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
-
-    def bench_of(self, recording: Recording) -> Bench | None:
-        """The bench at the time of a recording; ``None`` if no curves are swept from a bench."""
-        if self.bench is None:
-            return None
-        return bench_with(self.bench, self.config.entry_of(recording.name).bench)
-
-    def curves(self, task: Task) -> list[GapCurve] | None:
-        """The curve of each recording, read or swept, in order; ``None`` without one.
-
-        Raises
-        ------
-        BenchError
-            If a simulation fails.
-        CurveError
-            If A does not grow with δ.
-        """
-        if self.named is not None:
-            return [self.named] * len(task.recordings)
-        if self.bench is None:
-            return None
-        needs = [self._need(recording, self.bench) for recording in task.recordings]
-        curve_of_need = {
-            need: self._swept(need, task, recording)
-            for need, recording in dict(zip(needs, task.recordings, strict=True)).items()
-        }
-        task.swept.keep_latest(count=MOST_KEPT)
-        return [curve_of_need[need] for need in needs]
-
-    def _need(self, recording: Recording, bench: Bench) -> _Need:
-        entry = self.config.entry_of(recording.name)
-        speed = reference_speed(recording, bench, entry.reference_speed_rpm)
-        recorded_rotations = recording.duration_s / bench.rotation_period_s(speed)
-        rotations = min(max(int(recorded_rotations), 2), MOST_ROTATIONS)
-        # The fingerprint of an estimator distinguishes rates to three digits.
-        sampling_hz = float(f"{1.0 / recording.sampling_period_s:.3g}")
-        return _Need(speed, sampling_hz, rotations, tuple(sorted(entry.bench.items())))
-
-    def _swept(self, need: _Need, task: Task, recording: Recording) -> GapCurve:
-        bench = self.bench_of(recording)
-        assert bench is not None
-        bench = bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
-        model = self.estimator.model
-        model = replace(model, ranges=model.lasting_ranges)
-        settings = SweepSettings(
-            low_rad=SMALLEST_GAP_RAD,
-            count=GAPS,
-            start_angles=START_ANGLES,
-            rotations=need.rotations,
-            sampling_hz=need.sampling_hz,
-        )
-        problem = SweepProblem(bench, model, settings, SEED, task.swept)
-        nominal_seed, draw_seed, curve_seed = np.random.SeedSequence(SEED).spawn(3)
-        workers = self.config.run.workers
-        report = of_stage(task.progress, f"Making the curve for {need}")
-        if report is not None:
-            report(0, 1)
-        nominal = problem.nominal(nominal_seed, workers)
-        parameters = len(bench.tolerances)
-        count = DRAWS_PER_TERM * (1 + parameters) if parameters else 0
-        swept = problem.draws(nominal, count, draw_seed, workers, report)
-        if report is not None:
-            report(1, 1)
-        curve = swept_curve(
-            str(self.config.estimator.bench),
-            nominal,
-            model,
-            DEGREE,
-            self.estimator.fingerprint(recording),
-            curve_seed,
-            swept,
-        )
-        return replace(curve, reference_speed_rpm=abs(need.reference_speed_rpm))

@@ -16,21 +16,28 @@ import xarray as xr
 
 from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.bench.effects import effect_named
+from bayesbl.bench.kernel import Slot
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
 from bayesbl.bench.parameters import declaration_of
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
-from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.motions import flank_changes
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.least_squares import SimulatedFit, fit_at
+from bayesbl.matching.motions import flank_changes, noise_of, remembered_start
+from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed, standstills
 from bayesbl.matching.posterior import MATTERS, DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, standing_out
-from bayesbl.matching.signals import GAP, REFERENCE_DELAY, SMALLEST_GAP_RAD, START_ANGLE, Unknown
+from bayesbl.matching.signals import (
+    GAP,
+    REFERENCE_DELAY,
+    SMALLEST_GAP_RAD,
+    START_ANGLE,
+    SimulatedSignals,
+    Unknown,
+)
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with
-from bayesbl.measurement.expected_width import expected_sds
 from bayesbl.measurement.measurement import (
+    UPPER_BOUND_LEVEL,
     Answer,
     CheckItem,
     ExpectedSd,
@@ -47,41 +54,50 @@ from bayesbl.measurement.measurement import (
     sampling_reasons,
     upper_bound,
 )
-from bayesbl.measurement.motion_verdict import (
-    excluded_ends,
-    motion_notes,
-    unknown_start,
-    unseen_gap,
-)
 from bayesbl.measurement.summary_types import PredictiveCheckEntry
 from bayesbl.model_search.always_in import (
     CHANGED_TOGETHER,
+    Direction,
     directions,
     edge_variances,
+    linearised_fit,
     with_friction,
 )
 from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.noise.outside_lines import without_outside_lines
-from bayesbl.probabilities import ends
+from bayesbl.probabilities import TOO_FEW, ends
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
-from bayesbl.results.variables import Group, Variable, datasets, labels, table
+from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.ringing.cleaning import without_motor_lines
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.units import unit_of
+from bayesbl.units import RPM_PER_RAD_PER_S, unit_of
 
 WHOLE_ORDER = 0.03
 """Distance from a whole number above which a line's order is not whole: several times the
 resolution by five rotations."""
+
+WORST = ("channel", "recording", "highest_order", "ratio")
+"""What is told of the largest power that repeats."""
 
 BOUNDED = ("gap_unseen",)
 """Codes of reasons that withhold δ but leave an upper bound."""
 
 EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
 """Gaps of a new, a used and a worn reducer."""
+
+EXPECTED_DRAWS = 1000
+"""Draws of the marginalised directions: they give a standard deviation to 2 %."""
+
+EXCLUDED_END = 0.1
+"""A recording excludes an end of the range of ln δ if the outer ``EXCLUDED_END`` of it holds less
+than ``TOO_FEW`` of the posterior (a flat posterior: 0.1). Then δ has a bound."""
+
+REMEMBERED = 1.0
+"""Largest χ² that an unknown start may leave: it moves δ by at most one standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +131,25 @@ class DirectMatch:
 
         A disagreement shows in a reason that withholds δ, or in the comparison.
         """
+        changed, allowed = (
+            [c for c in found if c.recording in (None, recording)]
+            for found in (self.joint.changed, self.joint.allowed)
+        )
+        contradicted = changed or self.repeating(recording)
         beyond = self.posterior.beyond_tolerance(recording, level)
-        check = check_of_snapshot(self.joint, recording)
-        agrees = check["agrees"] and not self.repeating(recording) and beyond is None
-        return {**check, "agrees": agrees}
+        return joint_check(
+            self.joint.explained and not contradicted and beyond is None,
+            [_check_item(c) for c in (*changed, *allowed)],
+            self.joint.could_be if changed else (),
+        )
 
 
 class DirectMeasurer(Measurer):
     """The direct route with its bench."""
 
-    def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
+    def __init__(self, config: SnapshotConfig, bench: Bench | None = None) -> None:
         super().__init__(config)
-        self.bench = bench
+        self.bench = bench_of(config) if bench is None else bench
         self.gap_range_rad = config.estimator.gap_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
@@ -204,10 +227,15 @@ class DirectMeasurer(Measurer):
         texts = (
             Reason.of_text("recording", text) for text in (*recording.notes, *observation.notes)
         )
-        notes = (*texts, *self._beyond_the_bench(match), *self._counted_twice(recording))
+        notes = [*texts, *self._beyond_the_bench(match)]
+        entry, identified = self.config.entry_of(recording.name), self.bench.identified
+        if identified is not None and file_sha256(entry.file) in identified.sources:
+            notes.append(Reason("counted_twice", {"name": entry.name}))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
-        groups = direct_groups(posterior, recording, index, generator)
+        groups, numbers = shared.stored(
+            direct_groups(posterior, recording, index, generator), self.config.interval
+        )
         gap = posterior.values(GAP, recording.name)
         reasons = direct_reasons(match, index, notes, level)
         contradicted = any(r.code not in BOUNDED for r in reasons if r.withholds)
@@ -216,7 +244,7 @@ class DirectMeasurer(Measurer):
             gap,
             reasons,
             groups,
-            _numbers(posterior, recording, index, check, groups, self.config.interval),
+            {**numbers, **_numbers(posterior, recording, index, check, groups)},
             match.model_check(recording.name, level),
             None
             if contradicted or excluded_ends(posterior, recording.name) != (False, True)
@@ -238,13 +266,6 @@ class DirectMeasurer(Measurer):
                 period_s = effect.complete()["period_s"]
                 yield Reason("controller_period", {"period_s": period_s})
 
-    def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
-        """Yield a note if the bench was identified from this very recording."""
-        joint = self.bench.identified
-        entry = self.config.entry_of(recording.name)
-        if joint is not None and file_sha256(entry.file) in joint.sources:
-            yield Reason("counted_twice", {"name": entry.name})
-
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
     """A recording prepared for the simulator, with the parameter values that its config states."""
@@ -262,10 +283,7 @@ def require_unshaken(recording: Recording, bench: Bench) -> None:
     Lines at whole orders of the load or the motor are part of the simulation, as are all lines if
     the bench has periodic effects.
 
-    Raises
-    ------
-    RecordingError
-        If there are other lines, with their frequencies.
+    Raises RecordingError if there are other lines, with their frequencies.
     """
     if moves(recording) or any(effect_named(e.name).is_periodic for e in bench.effects):
         return
@@ -333,9 +351,16 @@ def direct_reasons(
         problems.append(Reason("sheet_contradicted", {"names": contradicted[:4]}))
     if not (repeating or match.joint.explained or match.allows_for_misfit):
         problems.append(Reason("unexplained"))
-    misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
-    if misfit and match.joint.could_be:
-        misfit["could_be"] = list(match.joint.could_be)
+    misfit: dict[str, Any] = {}
+    if repeating:
+        worst = max(repeating, key=lambda entry: entry.ratio)
+        misfit = {
+            **{key: getattr(worst, key) for key in WORST},
+            "channels": sorted({f"{e.channel} of {e.recording}" for e in repeating}),
+            "is_motion": recording.motion is not None,
+        }
+        if match.joint.could_be:
+            misfit["could_be"] = list(match.joint.could_be)
     if misfit and not match.allows_for_misfit:
         # A misfit that nothing explains also biases bench parameters: they are not its cause.
         problems.insert(0, Reason("repeats_beyond_noise", misfit))
@@ -348,9 +373,8 @@ def direct_reasons(
     if answered and unknown.offset and ends == (False, True):
         values = {"upper_rad": upper_bound(gap), "smallest_rad": SMALLEST_GAP_RAD}
         reasons.append(Reason("gap_not_told", values))
-    lacking = bench_lacks(match.joint)
-    if answered and lacking:
-        reasons.append(Reason("bench_lacks", lacking))
+    if answered and match.joint.beyond_bench:
+        reasons.append(Reason("bench_lacks", bench_lacks(match.joint)))
     if answered and match.allows_for_misfit:
         # The bench has one misfit: it is reported once, with the largest widening.
         places = [place for place, u in enumerate(fit.model.unknowns) if u.name == GAP]
@@ -368,33 +392,19 @@ def direct_reasons(
     return [*reasons, *motion_notes(fit, index), *notes]
 
 
-def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dict[str, Any]:
-    worst = max(entries, key=lambda entry: entry.ratio)
-    return {
-        "channel": worst.channel,
-        "recording": worst.recording,
-        "highest_order": worst.highest_order,
-        "ratio": worst.ratio,
-        "channels": sorted({f"{e.channel} of {e.recording}" for e in entries}),
-        "is_motion": is_motion,
-    }
-
-
 def _numbers(
     posterior: DirectPosterior,
     recording: Recording,
     index: int,
     check: Sequence[RepeatingPower],
     groups: Mapping[str, xr.Dataset],
-    section: IntervalConfig,
 ) -> dict[str, Any]:
-    """The snapshot's keys of the summary, with the bound and the predictive check."""
+    """Further keys of the summary, with the bound and the predictive check."""
     optimum, drawn = groups["optimum"], groups["posterior"]
     names = list(own_unknowns(posterior, recording.name))
     noise = posterior.fit.model.noise[index]
     sd = groups["noise"]["sd"].values.tolist()
     numbers: dict[str, Any] = {
-        "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), section),
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
         "posterior_sd": {n: float(drawn[n].std()) for n in names},
@@ -423,18 +433,137 @@ def _numbers(
     return numbers
 
 
-# What is reported of the joint: items, findings, blind spots.
+# What is expected before a fit.
 
 
-def check_of_snapshot(findings: JointFindings, recording: str) -> JointCheck:
-    """Compare one recording with its bench."""
-    changed = [c for c in findings.changed if c.recording in (None, recording)]
-    allowed = [c for c in findings.allowed if c.recording in (None, recording)]
-    return joint_check(
-        findings.explained and not changed,
-        [_check_item(c) for c in (*changed, *allowed)],
-        findings.could_be if changed else (),
+def expected_sds(
+    bench: Bench,
+    recordings: Sequence[Observed],
+    unknowns: Sequence[Unknown],
+    among: Sequence[Direction],
+    gaps_rad: Sequence[float],
+) -> list[ExpectedSd]:
+    """Expected posterior standard deviations at each of these gaps, before any fit.
+
+    The posterior is linearised at the true value: its width follows from the derivatives of the
+    simulation and from the noise between rotations, or cycles of a motion. The laws ``among`` which
+    the bench may lack, and drift, are included as in an answer; the error of a wrong bench is not.
+    Of the recordings, only noise, length and motion matter. Raises RecordingError if one is too
+    short to estimate its noise, and SimulationError if the bench cannot be simulated at a gap.
+    """
+    noise = [noise_of(observations, observations.signals) for observations in recordings]
+    observations = [marginalising_motor_lines(recording, bench) for recording in recordings]
+    model = SimulatedSignals(bench, observations, unknowns, noise, 1)
+    return [_at(model, gap_rad, among) for gap_rad in gaps_rad]
+
+
+def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> ExpectedSd:
+    gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
+    # One-sided unknowns at the mean of their prior: at the bound, derivatives toward the other side
+    # would be missed.
+    one_sided = np.array([u.low == u.centre and math.isfinite(u.sd) for u in model.unknowns])
+    means = [u.centre + u.sd * math.sqrt(2.0 / math.pi) for u in model.unknowns]
+    point = np.where(one_sided, means, [u.middle for u in model.unknowns])
+    point[gaps] = [float(model.unknowns[k].coordinate(np.array(gap_rad))) for k in gaps]
+    model.require(point)
+    # Use the simulation itself as data, so that the residuals are zero.
+    simulated = [
+        replace(observation, signals=model.signals(point, place)[0])
+        for place, observation in enumerate(model.recordings)
+    ]
+    fit = fit_at(replace(model, recordings=simulated), point)
+    drawn = (
+        linearised_fit(fit, among).posterior.draw(np.random.default_rng(0), EXPECTED_DRAWS).shift
     )
+    covariance = fit.covariance + np.cov(drawn.T)
+    slope_rad = float(model.unknowns[gaps[0]].slope(np.array(gap_rad)))
+
+    def sd_rad(toward: Mapping[int, float]) -> float:
+        weights = np.zeros(point.size)
+        weights[list(toward)] = list(toward.values())
+        return slope_rad * math.sqrt(float(weights @ covariance @ weights))
+
+    first, last = gaps[0], gaps[-1]
+    change = sd_rad({first: -1.0, last: 1.0}) if last != first else None
+    return ExpectedSd(gap_rad, max(sd_rad({k: 1.0}) for k in gaps), change)
+
+
+# What a motion shows of its gap.
+
+
+def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
+    """Why a motion does not determine δ of a recording, with the bound it leaves; ``None`` if it
+    does or turns at constant speed."""
+    fit = posterior.fit
+    observation = fit.model.recordings[index]
+    if observation.motion is None or flank_changes(fit, index):
+        return None
+    values: dict[str, float | bool] = {"pull_rpm_per_s": largest_pull(fit, index)}
+    is_larger, is_smaller = excluded_ends(posterior, observation.name)
+    if is_larger != is_smaller:
+        share = 1.0 - UPPER_BOUND_LEVEL if is_larger else UPPER_BOUND_LEVEL
+        bound_rad = float(np.quantile(posterior.values(GAP, observation.name), share))
+        values |= {"is_larger": is_larger, "level": UPPER_BOUND_LEVEL, "bound_rad": bound_rad}
+    return Reason("gap_unseen", values)
+
+
+def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:
+    """Why the unknown start of a motion leaves δ unknown; ``None`` if it does not."""
+    observation = fit.model.recordings[index]
+    if (
+        observation.motion is None
+        or remembered_start(fit, index)[observation.first_compared] <= REMEMBERED
+    ):
+        return None
+    return Reason("start_unknown")
+
+
+def largest_pull(fit: SimulatedFit, index: int) -> float:
+    """Smallest motor acceleration, rpm/s, that would lift the load off its flank anywhere in this
+    motion: the minimum of N |m g l sin(θ + φ_g)| / J_l."""
+    model, observation = fit.model, fit.model.recordings[index]
+    assert observation.motion is not None
+    row = model.vectors(fit.point[None], observation)[0]
+    time = np.arange(observation.samples) / observation.sampling_hz
+    angle = row[Slot.start_angle_rad] + observation.motion.position_rad(time) / row[Slot.gear_ratio]
+    pull = np.abs(row[Slot.gravity_torque_nm] * np.sin(angle + row[Slot.gravity_angle_rad]))
+    smallest = row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2]
+    return float(smallest * RPM_PER_RAD_PER_S)
+
+
+def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, bool]:
+    """Whether a recording excludes the lower and the upper end of the range of its δ."""
+    model = posterior.fit.model
+    place = model.index(GAP, recording)
+    unknown, draws = model.unknowns[place], posterior.draws[..., place]
+    end = EXCLUDED_END * (unknown.high - unknown.low)
+    at_low = float(np.mean(draws < unknown.low + end))
+    at_high = float(np.mean(draws > unknown.high - end))
+    return at_low < TOO_FEW, at_high < TOO_FEW
+
+
+def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
+    """Yield notes on how a motion was compared."""
+    observation = fit.model.recordings[index]
+    if observation.motion is None:
+        return
+    if observation.cycle is None:
+        yield Reason("motion_once")
+    if all(u.name != REFERENCE_DELAY for u in fit.model.unknowns):
+        yield Reason("reference_held")
+    first_compared = observation.first_compared
+    at_rest = standstills(observation, fit.model.bench)[first_compared:]
+    if (
+        observation.excluded is not None
+        and at_rest.any()
+        and observation.excluded[first_compared:][at_rest].all()
+    ):
+        yield Reason("standstills_left_out")
+    if first_compared > 0:
+        yield Reason("start_left_out", {"begin_s": first_compared / observation.sampling_hz})
+
+
+# What is reported of the joint: items, findings, blind spots.
 
 
 def check_of_comparison(
@@ -472,10 +601,8 @@ def check_of_comparison(
 
 
 def bench_lacks(findings: JointFindings) -> dict[str, Any]:
-    """Parameters that differ from the bench in every recording, for the sentence; empty if none."""
+    """Parameters that differ from the bench in every recording, for the sentence."""
     changed = findings.beyond_bench
-    if not changed:
-        return {}
     return {"parameters": [_change_values(c) for c in changed], "alike": _alike(findings, changed)}
 
 
@@ -499,11 +626,6 @@ def _change_values(changed: ChangedParameter) -> dict[str, Any]:
         "unit": changed.unit,
         "recording": changed.recording,
     }
-
-
-def prepare(config: SnapshotConfig) -> DirectMeasurer:
-    """Create the measurer with its bench."""
-    return DirectMeasurer(config, bench_of(config))
 
 
 # What is stored.
@@ -624,45 +746,39 @@ def direct_groups(
     recording: Recording,
     index: int,
     generator: np.random.Generator,
-) -> dict[str, xr.Dataset]:
-    """All groups of one snapshot, without a ``snapshot`` dimension.
+) -> dict[Group, object]:
+    """Data of all groups of one snapshot.
 
-    Parameters
-    ----------
-    index
-        Place of the recording in the posterior's model.
-    generator
-        For the predictions of prior and posterior.
+    ``index``: place of the recording in the posterior's model; ``generator``: for the predictions
+    of prior and posterior.
     """
     model = posterior.fit.model
     observation, noise = model.recordings[index], model.noise[index]
     channels = list(observation.channels)
-    return datasets(
-        {
-            POSTERIOR: _draws(posterior, recording.name, posterior.draws),
-            SAMPLE_STATS: {
-                "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
-                "acceptance_rate": posterior.diagnostics.acceptance,
-            },
-            **_noise_only(posterior, index, generator),
-            **shared.common_groups(
-                recording,
-                channels,
-                posterior.diagnostics,
-                _budget(posterior, recording.name),
-                observation.samples / observation.sampling_hz / observation.rotation_period_s,
-                effective=posterior.effective,
-                simulated=posterior.simulated,
-                refits=posterior.refits,
-            ),
-            PREDICTIVE: (_predictive(posterior, index), _motion(posterior.fit, index)),
-            OPTIMUM: _optimum(posterior, recording.name),
-            NOISE: (
-                noise,
-                {"innovation_root": noise.root, "channel": channels, "channel_": channels},
-            ),
-        }
-    )
+    return {
+        POSTERIOR: _draws(posterior, recording.name, posterior.draws),
+        SAMPLE_STATS: {
+            "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
+            "acceptance_rate": posterior.diagnostics.acceptance,
+        },
+        **_noise_only(posterior, index, generator),
+        **shared.common_groups(
+            recording,
+            channels,
+            posterior.diagnostics,
+            _budget(posterior, recording.name),
+            observation.samples / observation.sampling_hz / observation.rotation_period_s,
+            effective=posterior.effective,
+            simulated=posterior.simulated,
+            refits=posterior.refits,
+        ),
+        PREDICTIVE: (_predictive(posterior, index), _motion(posterior.fit, index)),
+        OPTIMUM: _optimum(posterior, recording.name),
+        NOISE: (
+            noise,
+            {"innovation_root": noise.root, "channel": channels, "channel_": channels},
+        ),
+    }
 
 
 def own_unknowns(posterior: DirectPosterior, recording: str) -> dict[str, int]:

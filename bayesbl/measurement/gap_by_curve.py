@@ -33,14 +33,8 @@ level of a 90 % interval is 90 ± 2 %: √(p (1 − p)/n)."""
 class MeasuredRinging:
     """What one snapshot's fit measured of (A, ln ω, ln τ).
 
-    Attributes
-    ----------
-    amplitude_rpm
-        Posterior draws of A, shape (chain, draw), rpm.
-    centre
-        Optimum of (A, ln ω, ln τ), shape (3,).
-    covariance
-        Covariance of these three, shape (3, 3).
+    ``amplitude_rpm``: posterior draws of A, shape (chain, draw), rpm. ``centre``: optimum of (A, ln
+    ω, ln τ), shape (3,). ``covariance``: covariance of these three, shape (3, 3).
     """
 
     amplitude_rpm: FloatArray
@@ -61,29 +55,15 @@ class MeasuredRinging:
 class Gap:
     """The gap of one snapshot.
 
-    Attributes
-    ----------
-    delta_rad
-        Draws of δ, shape (chain, draw), rad.
-    index
-        For each draw of δ, the posterior draw it belongs to (flattened over (chain, draw)), shape
-        (chain, draw). Weighting resamples all symbols, not δ alone.
-    outside_curve
-        −1, 0, +1 for draws of A below, inside, above the curve's range, shape (chain, draw).
-    curve_amplitude_rpm
-        Amplitude that the curve was evaluated at: A with its scatter over start angles, shape
-        (chain, draw).
-    rows
-        For each source of the curve's uncertainty, the curve draw used, shape (chain, draw).
-    curve_scale
-        Factor by which δ of the curve was multiplied, shape (chain, draw); ``None`` without a known
-        gap.
-    budget
-        Share of the variance of ln δ by source; sums to 1.
-    reasons
-        Why δ is withheld.
-    notes
-        Other remarks on how δ was computed.
+    ``delta_rad``: draws of δ, shape (chain, draw), rad. ``index``: for each draw of δ, the
+    posterior draw it belongs to (flattened over (chain, draw)), shape (chain, draw). Weighting
+    resamples all symbols, not δ alone. ``outside_curve``: −1, 0, +1 for draws of A below, inside,
+    above the curve's range, shape (chain, draw). ``curve_amplitude_rpm``: amplitude that the curve
+    was evaluated at: A with its scatter over start angles, shape (chain, draw). ``rows``: for each
+    source of the curve's uncertainty, the curve draw used, shape (chain, draw). ``curve_scale``:
+    Factor by which δ of the curve was multiplied, shape (chain, draw); ``None`` without a known
+    gap. ``budget``: share of the variance of ln δ by source; sums to 1. ``reasons``: why δ is
+    withheld. ``notes``: other remarks on how δ was computed.
     """
 
     delta_rad: FloatArray
@@ -123,14 +103,9 @@ def gaps(
     in ln δ, by its Jacobian d ln δ/dA. For a curve with bench draws they also contain the
     likelihood of the measured frequency and decay, given the drawn bench.
 
-    Parameters
-    ----------
-    curves
-        One for all snapshots, or one per snapshot, all of one bench.
-    known
-        The known gap of each snapshot or ``None``; empty if no gap is known.
-    level
-        Level of the one-sided bound of a withheld answer.
+    ``curves``: one for all snapshots, or one per snapshot, all of one bench. ``known``: the known
+    gap of each snapshot or ``None``; empty if no gap is known. ``level``: level of the one-sided
+    bound of a withheld answer.
     """
     if isinstance(curves, GapCurve):
         curves = [curves] * len(snapshots)
@@ -267,16 +242,9 @@ def _extrapolation(
 class Calibration:
     """Scale of a joint's curves, from its known gaps.
 
-    Attributes
-    ----------
-    scale
-        Draws of the scale, shape (n,).
-    weights
-        Weight of each snapshot's ln δ in ln scale, shape (snapshots,); 0 where no gap is known.
-    known_variance
-        Variance of ln scale due to the known gaps alone.
-    agrees
-        Whether the known gaps are consistent with one curve.
+    ``scale``: draws of the scale, shape (n,). ``weights``: weight of each snapshot's ln δ in ln
+    scale, shape (snapshots,); 0 where no gap is known. ``known_variance``: variance of ln scale due
+    to the known gaps alone. ``agrees``: whether the known gaps are consistent with one curve.
     """
 
     scale: FloatArray
@@ -332,10 +300,11 @@ def _budgets(
         factors = -weights
         factors[k] += 1.0
         active = [(f, a) for f, a in zip(factors, one_source, strict=True) if f]
-        variances = {
-            name: _variance(sum((f * logs.get(name, zero) for f, (_, logs) in active), start=zero))
-            for name in sources
-        }
+        variances = {}
+        for name in sources:
+            log_gap = sum((f * logs.get(name, zero) for f, (_, logs) in active), start=zero)
+            finite = log_gap[np.isfinite(log_gap)]
+            variances[name] = float(np.var(finite)) if finite.size else 0.0
         if scatter > 0.0:
             variances["start_angle"] = sum((f * sd) ** 2 for f, (sd, _) in active)
         if calibration is not None:
@@ -359,8 +328,3 @@ def _one_at_a_time(
         delta_by_source[name] = chosen.only(name).gap(np.full(rows.size, median))
     scatter = slope * float(curve.start_angle_sd(np.array(median)))
     return scatter, {name: _log(delta_rad) for name, delta_rad in delta_by_source.items()}
-
-
-def _variance(log_gap: FloatArray) -> float:
-    finite = log_gap[np.isfinite(log_gap)]
-    return float(np.var(finite)) if finite.size else 0.0

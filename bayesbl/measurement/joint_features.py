@@ -122,13 +122,8 @@ def beside_bench(
 def features(folded: FloatArray, period_s: float) -> list[Feature]:
     """Features of folded signals.
 
-    Parameters
-    ----------
-    folded
-        Motor speed in rpm and, if recorded, current in A, both positive in the direction of
-        rotation; shape (1 or 2, rotations, samples of a rotation).
-    period_s
-        Sampling period.
+    ``folded``: motor speed in rpm and, if recorded, current in A, both positive in the direction of
+    rotation; shape (1 or 2, rotations, samples of a rotation). ``period_s``: sampling period.
     """
     gains = controller_gains(folded, period_s)
     generator = np.random.default_rng(SEED)
@@ -148,9 +143,7 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
     E_k is estimated with the gains (errors in variables), by Gauss-Newton. Orders at which the
     speed error is mostly noise are left out.
 
-    Returns
-    -------
-    Both gains; empty without a current, or if too few orders stand out. ``folded`` as
+    Returns both gains; empty without a current, or if too few orders stand out. ``folded`` as
     :func:`features` takes it.
     """
     from scipy.ndimage import uniform_filter1d

@@ -48,17 +48,10 @@ class Seeds:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Recordings to be measured, with seeds, progress callbacks and stores.
+    """Recordings to be measured, with seeds, progress callbacks and a store.
 
-    Attributes
-    ----------
-    work
-        Stores finished steps, and returns those that an earlier run finished.
-    say
-        Called with a sentence on what each search started from, if it started from an earlier
-        optimum.
-    swept
-        Stores the rows of swept benches, for this run and others.
+    ``work``: stores finished steps, and returns those that an earlier run finished. ``say``: called
+    with a sentence on what each search started from, if it started from an earlier optimum.
     """
 
     config: SnapshotConfig
@@ -67,7 +60,6 @@ class Task:
     progress: StageProgress | None = None
     work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
-    swept: WorkStore = NOTHING_KEPT
 
     @property
     def names(self) -> list[str]:
@@ -78,10 +70,7 @@ class Task:
 def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
     """Read the recording of an entry and prepare it for a fit.
 
-    Raises
-    ------
-    RecordingError
-        If it cannot be read, or lacks what a fit needs.
+    Raises RecordingError if it cannot be read, or lacks what a fit needs.
     """
     columns = config.column_specs
     recording = with_speed(read_recording(entry.file, name=entry.name, columns=columns))

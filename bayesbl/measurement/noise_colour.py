@@ -43,14 +43,9 @@ STRENGTHS = np.geomspace(1e-4, 30.0, 200)
 class NoiseSpectrum:
     """Spectrum of the part of a recorded speed that does not repeat.
 
-    Attributes
-    ----------
-    frequency_hz, log_power
-        Shape (k,); power in an arbitrary unit, mean over ``degrees`` + 1 rotations.
-    degrees
-        Degrees of freedom (independent rotations) of each value.
-    highest_hz
-        Highest usable frequency.
+    ``frequency_hz``, ``log_power``: shape (k,); power in an arbitrary unit, mean over ``degrees`` +
+    1 rotations. ``degrees``: degrees of freedom (independent rotations) of each value.
+    ``highest_hz``: highest usable frequency.
     """
 
     frequency_hz: FloatArray
@@ -64,13 +59,9 @@ class NoiseSpectrum:
 class FilterChange:
     """Change of ln A between two recordings by a changed filter.
 
-    Attributes
-    ----------
-    low, high
-        Range in which χ² exceeds its minimum by at most the square of the requested deviations.
-    deviations
-        Distance of the best value from no change, in standard deviations, with the sign of
-        ``log_amplitude``.
+    ``low``, ``high``: range in which χ² exceeds its minimum by at most the square of the requested
+    deviations. ``deviations``: distance of the best value from no change, in standard deviations,
+    with the sign of ``log_amplitude``.
     """
 
     log_amplitude: float
@@ -114,10 +105,7 @@ def filter_change(
 ) -> FilterChange | None:
     """Fit the filter that would explain the changed noise; ``None`` with too few bands.
 
-    Parameters
-    ----------
-    deviations
-        Half width of the returned range, in standard deviations.
+    ``deviations``: half width of the returned range, in standard deviations.
     """
     lowest = LOWEST_OVER_RINGING * max(first.ringing_hz, other.ringing_hz)
     highest = min(first.highest_hz, other.highest_hz)

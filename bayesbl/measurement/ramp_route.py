@@ -13,13 +13,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import xarray as xr
 from scipy.special import ndtri, stdtr
 
-from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import MATTERS
@@ -40,6 +37,7 @@ from bayesbl.measurement.measurement import (
     sampling_reasons,
     upper_bound,
 )
+from bayesbl.measurement.summary_types import RampsSummary
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
 from bayesbl.ramps.flanks import (
@@ -52,11 +50,11 @@ from bayesbl.ramps.flanks import (
     stiffness,
 )
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
-from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
+from bayesbl.ramps.torque_cycles import Ramps, find_ramps, left_rad
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
-from bayesbl.results.variables import Group, columns, datasets, table
+from bayesbl.results.variables import Group, columns, table
 
 HELD = 4.0
 """Held compliance beyond the dead zone, as a multiple of ``held_windup_rad``, at most.
@@ -94,13 +92,8 @@ SOFTER = blind_spot("softer_flanks_unseen")
 class HeldCompliance:
     """Friction and compliance of a snapshot, and the gap, for the comparison with others.
 
-    Attributes
-    ----------
-    draws
-        Draws of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`COMPARED`, rad and
-        N m.
-    measured
-        The quantities in :data:`COMPARED`, by file and cycle.
+    ``draws``: draws of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`COMPARED`,
+    rad and N m. ``measured``: the quantities in :data:`COMPARED`, by file and cycle.
     """
 
     draws: Mapping[str, FloatArray]
@@ -164,14 +157,6 @@ GOOD_PART = 0.5
 UNSURE = 0.05
 """Probability of play, and of no play, above which both are reported as possible."""
 
-QUANTITIES = (
-    "lost_motion_rad",
-    "compliance_rad_per_nm",
-    "stiffness_nm_per_rad",
-    "friction_torque_nm",
-    "held_windup_rad",
-)
-
 PRELOAD = "preload_torque_nm"
 
 FILE_STARTS = "file_starts"
@@ -232,7 +217,13 @@ class RampMeasurer(Measurer):
         ]
         report = of_stage(task.progress, f"Sampling {' and '.join(task.names)}")
         play_seed, shares_seed, *seeds = task.seeds.direct.spawn(2 + len(files))
-        elsewhere = _elsewhere(flanks)
+        # One file each, at different positions of the turn: their flanks do not overlap.
+        levels = [flank.level for flank in flanks]
+        middles = [level.middle_rad for level in levels]
+        elsewhere = len(levels) > 1 and all(len(level.widths()) == 1 for level in levels)
+        if elsewhere:
+            widest = max(float(level.widths()[0].mean()) for level in levels)
+            elsewhere = max(middles) - min(middles) > widest
         play = sample_play(
             widths, sampler_of(self.config), play_seed, report, round_the_turn=elsewhere
         )
@@ -274,14 +265,21 @@ class RampMeasurer(Measurer):
         has_ratio = self.config.joint.gear_ratio is not None
         reasons += notes_on(files, flanks, draws, ratio_given=has_ratio, elsewhere=elsewhere)
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
-        groups = ramp_groups(recording, files, flanks, draws, play, stated_nm)
+        groups, numbers = shared.stored(
+            ramp_groups(recording, files, flanks, draws, play, stated_nm), self.config.interval
+        )
         has_play = flanks.probability_of_play >= UPPER_BOUND_LEVEL
         answer = Answer(
             recording.name,
             gap,
             reasons,
             groups,
-            _numbers(flanks, groups, self.config.interval, is_withheld=withheld),
+            {
+                **numbers,
+                "preloaded": flanks.probability_of_play <= 0.5 and not withheld,
+                "ramps": _ramps(flanks),
+                "noise": shared.no_speed_noise("repeated"),
+            },
             upper_bound_rad=None if has_play or withheld else upper_bound(gap),
         )
         return answer, HeldCompliance(draws, of_cycles)
@@ -298,10 +296,8 @@ class RampMeasurer(Measurer):
     def _flanks(self, recording: Recording) -> tuple[tuple[Ramps, ...], Flanks]:
         """The ramps of each file and the flanks that they show, at the output.
 
-        Raises
-        ------
-        RecordingError
-            If the torque does not go to both sides of zero and back at least once.
+        Raises RecordingError if the torque does not go to both sides of zero and back at least
+        once.
         """
         torque = recording.channels[MOTOR_TORQUE] * self._ratio
         position = recording.channels[MOTOR_POSITION] / self._ratio
@@ -386,48 +382,15 @@ def notes_on(
             yield Reason("one_cycle")
 
 
-def _numbers(
-    flanks: Flanks,
-    groups: Mapping[str, xr.Dataset],
-    section: IntervalConfig,
-    *,
-    is_withheld: bool,
-) -> dict[str, Any]:
-    """The snapshot's keys of the summary, with the ramps that show the play."""
-    level, posterior = flanks.level, groups["posterior"]
-    intervals = shared.intervals(posterior, QUANTITIES, section)
-    # All NaN if no flank is seen to lift.
-    if np.isfinite(posterior[PRELOAD].values).any():
-        intervals |= shared.intervals(posterior, [PRELOAD], section)
-    used = [file for file in level.files if file]
+def _ramps(flanks: Flanks) -> RampsSummary:
+    """The ramps that show the play."""
+    used = [file for file in flanks.level.files if file]
     return {
-        **{name: intervals[name] for name in QUANTITIES},
-        **{str(n): float(v) for n, v in groups["cycles"].items() if not v.dims},
-        "preload_torque_nm": intervals.get(PRELOAD),
-        "preloaded": flanks.probability_of_play <= 0.5 and not is_withheld,
-        "ramps": {
-            "positions": len(used),
-            "cycles": len(level.cycles),
-            "torque_nm": float(np.mean([cycle.amplitude_nm for cycle in level.cycles])),
-            "width_rad": [float(np.mean([c.width_rad for c in file])) for file in used],
-        },
-        "parameters": {
-            **intervals,
-            **shared.intervals(posterior, ("width_rad", "scatter_rad"), section),
-        },
-        "noise": shared.no_speed_noise("repeated"),
+        "positions": len(used),
+        "cycles": len(flanks.level.cycles),
+        "torque_nm": float(np.mean([cycle.amplitude_nm for cycle in flanks.level.cycles])),
+        "width_rad": [float(np.mean([c.width_rad for c in file])) for file in used],
     }
-
-
-def _elsewhere(flanks: Sequence[Flanks]) -> bool:
-    """Whether snapshots of one file each were recorded at different positions of the turn.
-    Positions count as equal if their flanks overlap."""
-    levels = [flank.level for flank in flanks]
-    if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
-        return False
-    middles = [level.middle_rad for level in levels]
-    widest = max(float(level.widths()[0].mean()) for level in levels)
-    return max(middles) - min(middles) > widest
 
 
 def _joined(name: str, parts: Sequence[Recording]) -> Recording:
@@ -569,9 +532,6 @@ def _budget(flanks: Flanks, width: FloatArray, delta: FloatArray) -> dict[str, f
     return {name: value / total for name, value in shares.items()} if total else {}
 
 
-prepare = RampMeasurer
-
-
 # What is stored.
 
 MOST_POINTS = 1500
@@ -588,15 +548,15 @@ POSTERIOR = Group(
                 | standard deviation of that width around the turn, or of repeated ramps of one file
             shared_pattern? (chain, draw) | 1
                 | correlation of the widths around the turn between snapshots
-            lost_motion_rad (chain, draw) | rad
+            lost_motion_rad! (chain, draw) | rad
                 | angle between the positions at the stated torques, without friction
-            compliance_rad_per_nm (chain, draw) | rad/(N m) | compliance of the loaded joint
-            stiffness_nm_per_rad (chain, draw) | N m/rad
+            compliance_rad_per_nm! (chain, draw) | rad/(N m) | compliance of the loaded joint
+            stiffness_nm_per_rad! (chain, draw) | N m/rad
                 | position over torque by least squares along the largest ramps, both sides
-            friction_torque_nm (chain, draw) | N m | friction over the range of the ramps
-            held_windup_rad (chain, draw) | rad
+            friction_torque_nm! (chain, draw) | N m | friction over the range of the ramps
+            held_windup_rad! (chain, draw) | rad
                 | wind-up held by friction, in half the width, if no flank is soft at small torque
-            preload_torque_nm (chain, draw) | N m
+            preload_torque_nm! (chain, draw) | N m
                 | torque at which a preloaded joint's flank lifts; 0 with play, NaN where not seen
         """),
     ),
@@ -623,9 +583,9 @@ CYCLES = Group(
         elastic_nm (cycle) | N m | torque without friction between the positions left
         friction_nm (cycle) | N m | half the mean height of the loop
         used (cycle) | 1 | whether the width counts (1): the smallest ramps that reach both flanks
-        relative_compliance | 1 | compliance between the positions left, over that of larger ramps
-        probability_of_play | 1 | probability that this ratio is above one
-        lost_motion_torque_nm | N m | torque, both ways, at which lost motion is stated
+        relative_compliance! | 1 | compliance between the positions left, over that of larger ramps
+        probability_of_play! | 1 | probability that this ratio is above one
+        lost_motion_torque_nm! | N m | torque, both ways, at which lost motion is stated
     """),
 )
 
@@ -648,47 +608,47 @@ def ramp_groups(
     draws: Mapping[str, FloatArray],
     play: PlayPosterior,
     stated_nm: float,
-) -> dict[str, xr.Dataset]:
-    """All groups of one snapshot, without a ``snapshot`` dimension.
+) -> dict[Group, object]:
+    """Data of all groups of one snapshot.
 
     ``draws``: those of all of :data:`POSTERIOR`; ``stated_nm``: the torque of the lost motion.
     """
     lengths = [ramps.torque_nm.size for ramps in files]
     numbered_cycles = [(n, cycle) for n, file in enumerate(files) for cycle in file.cycles]
     is_used = [any(cycle is other for other in flanks.level.cycles) for _, cycle in numbered_cycles]
-    return datasets(
-        {
-            POSTERIOR: draws,
-            SAMPLE_STATS: {
-                "lp": play.log_density,
-                "acceptance_rate": play.diagnostics.acceptance,
+    return {
+        POSTERIOR: draws,
+        SAMPLE_STATS: {"lp": play.log_density, "acceptance_rate": play.diagnostics.acceptance},
+        **shared.common_groups(
+            recording,
+            (MOTOR_POSITION, MOTOR_TORQUE),
+            play.diagnostics,
+            _budget(flanks, draws["width_rad"], draws["delta_rad"]),
+            file=np.repeat(np.arange(len(lengths), dtype=float), lengths),
+        ),
+        CYCLES: (
+            columns(CYCLES, [cycle for _, cycle in numbered_cycles]),
+            flanks,
+            {
+                "file": np.array([n for n, _ in numbered_cycles], dtype=float),
+                "used": np.array(is_used, dtype=float),
+                "lost_motion_torque_nm": stated_nm,
             },
-            **shared.common_groups(
-                recording,
-                (MOTOR_POSITION, MOTOR_TORQUE),
-                play.diagnostics,
-                _budget(flanks, draws["width_rad"], draws["delta_rad"]),
-                file=np.repeat(np.arange(len(lengths), dtype=float), lengths),
-            ),
-            CYCLES: (
-                columns(CYCLES, [cycle for _, cycle in numbered_cycles]),
-                flanks,
-                {
-                    "file": np.array([n for n, _ in numbered_cycles], dtype=float),
-                    "used": np.array(is_used, dtype=float),
-                    "lost_motion_torque_nm": stated_nm,
-                },
-            ),
-            LOOP: _loop(flanks),
-        }
-    )
+        ),
+        LOOP: _loop(flanks),
+    }
 
 
 def _loop(flanks: Flanks) -> dict[str, FloatArray]:
     level = flanks.level
     numbers = [float(n) for n, cycles in enumerate(level.files) if cycles]
     files = list(filter(None, level.files))
-    torque, position = zip(*map(_path, files), strict=True)
+    torque, position = [], []
+    for cycles in files:  # the path along all cycles of a file, in order, thinned
+        path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
+        step = max(1, -(-(path.stop - path.start) // MOST_POINTS))
+        torque.append(cycles[0].torque_nm[path][::step])
+        position.append(cycles[0].position_rad[path][::step])
     low, high = zip(*map(left_rad, files), strict=True)
     return {
         "torque_nm": np.concatenate(torque),
@@ -697,11 +657,3 @@ def _loop(flanks: Flanks) -> dict[str, FloatArray]:
         "left_low_rad": np.array(low),
         "left_high_rad": np.array(high),
     }
-
-
-def _path(cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray]:
-    """Torque and position along all cycles of a file, in order, thinned."""
-    path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
-    torque, position = cycles[0].torque_nm[path], cycles[0].position_rad[path]
-    step = max(1, -(-torque.size // MOST_POINTS))
-    return torque[::step], position[::step]

@@ -19,7 +19,7 @@ from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.results.intervals import Interval, interval
-from bayesbl.results.variables import Group, Variable, labels, table
+from bayesbl.results.variables import Group, Variable, datasets, labels, table
 from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.units import unit_of
 
@@ -158,20 +158,11 @@ def common_groups(
 ) -> dict[Group, object]:
     """Data of the groups that every route stores for a recording, without ``snapshot``.
 
-    Parameters
-    ----------
-    recording
-        As it was compared.
-    observed
-        Names of the channels that the route used; all others are constant data.
-    budget
-        Share of each source in the variance of ln δ.
-    rotations
-        Load rotations in the recording; 0 if the route counts none.
-    file
-        File number of each sample, for a snapshot of several files; shape (n,).
-    simulated
-        Optional variables of :data:`DIAGNOSTICS` for draws that were simulated in full.
+    ``recording``: as it was compared. ``observed``: names of the channels that the route used; all
+    others are constant data. ``budget``: share of each source in the variance of ln δ.
+    ``rotations``: load rotations in the recording; 0 if the route counts none. ``file``: file
+    number of each sample, for a snapshot of several files; shape (n,). ``simulated``: optional
+    variables of :data:`DIAGNOSTICS` for draws that were simulated in full.
     """
     names = list(observed)
     excluded = np.zeros(recording.samples) if recording.excluded is None else recording.excluded
@@ -198,7 +189,37 @@ def common_groups(
     }
 
 
-def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
+def stored(
+    groups: Mapping[Group, object], of: IntervalConfig
+) -> tuple[dict[str, xr.Dataset], dict[str, Any]]:
+    """Groups of a recording as datasets, and the keys of ``summary.json`` that follow from them.
+
+    These are ``parameters`` (the interval of every parameter in the posterior but δ), all variables
+    that are declared as told, and those of :func:`common_groups`. Draws and other arrays become
+    their interval. What is NaN is no parameter, and a key of it is ``None``.
+    """
+
+    def told(values: FloatArray) -> Interval | float | None:
+        if not np.isfinite(values).all():
+            return None
+        return interval(values, of.level, of.kind) if values.ndim else float(values)
+
+    made = datasets(groups)
+    parameters: dict[str, Any] = {}
+    keys: dict[str, Any] = {}
+    for group in groups:
+        for name, data in made[group.name].data_vars.items():
+            declared = group.variable(str(name))
+            is_parameter = declared.dims == DRAWS and not declared.optional and name != DELTA.name
+            if group.name == "posterior" and is_parameter:
+                parameters[str(name)] = told(data.values)
+            if declared.told:
+                keys[str(name)] = told(data.values)
+    found = {name: value for name, value in parameters.items() if value is not None}
+    return made, {**keys, "parameters": found, **_common_numbers(made)}
+
+
+def _common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
     """Contents of :func:`common_groups` for ``summary.json``; diagnostics of the worst symbol."""
     sampled, budget = groups[DIAGNOSTICS.name], groups[BUDGET.name]
     diagnostics: dict[str, float] = {
@@ -222,10 +243,3 @@ def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
 def no_speed_noise(kind: str) -> NoiseSummary:
     """Noise of a route that compares no speed."""
     return dict(kind=kind, order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
-
-
-def intervals(
-    posterior: xr.Dataset, names: Iterable[str], of: IntervalConfig
-) -> dict[str, Interval]:
-    """Credible interval of each named variable of a posterior, as configured."""
-    return {name: interval(posterior[name].values, of.level, of.kind) for name in names}

@@ -17,7 +17,7 @@ import xarray as xr
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.measurement.compatibility import limit_rad_of, windup_rad_of
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
-from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers
+from bayesbl.measurement.shared_groups import CHANGE, GAP
 from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
@@ -156,18 +156,16 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
 
 def _of_route(result: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
     draws = None if answer.is_withheld else answer.delta_rad
-    common = common_numbers(answer.groups)
     summary = {
         "route": result.route,
         "curve": result.curve or None,
         "amplitude_rpm": None,
         "optimum": {},
         **answer.numbers,
-        **common,
         "delta_rad": None if draws is None else _interval(draws, config),
         "delta_upper_bound_rad": answer.upper_bound_rad,
         "diagnostics": {
-            **common["diagnostics"],
+            **answer.numbers["diagnostics"],
             "outcome": answer.outcome,
             "reasons": [
                 {**reason.stored, "withholds": reason.withholds} for reason in answer.reasons
@@ -248,12 +246,8 @@ def _interval(draws: FloatArray, config: SnapshotConfig) -> Interval:
 class Snapshot:
     """The stored answer of one route for one recording.
 
-    Attributes
-    ----------
-    route
-        Tree of the route, with the groups of all recordings.
-    summary
-        Part of the summary for this route and recording, without sentences.
+    ``route``: tree of the route, with the groups of all recordings. ``summary``: part of the
+    summary for this route and recording, without sentences.
     """
 
     name: str

@@ -6,12 +6,9 @@ See :mod:`bayesbl.two_encoders.transmission` and ``docs/design.md``, "Two encode
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
-import xarray as xr
 
-from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.measurement import shared_groups as shared
@@ -35,7 +32,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.intervals import interval
-from bayesbl.results.variables import Group, datasets, table
+from bayesbl.results.variables import Group, table
 from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission, hidden_rad
@@ -74,14 +71,14 @@ POSTERIOR = Group(
     (
         shared.DELTA,
         *table("""
-            play_rad (chain, draw) | rad | whole play, 2δ
-            lost_motion_rad (chain, draw) | rad
+            play_rad! (chain, draw) | rad | whole play, 2δ
+            lost_motion_rad! (chain, draw) | rad
                 | angle between the two directions: play plus wind-up by the load's friction
             held_windup_rad (chain, draw) | rad | part of the lost motion that is not play
-            windup_rad_per_nm (chain, draw) | rad/(N m)
+            windup_rad_per_nm! (chain, draw) | rad/(N m)
                 | compliance at the output; NaN where no torque shows it
-            gear_ratio (chain, draw) | 1 | motor over load, with its sign
-            channel_skew_s (chain, draw) | s | how late the load's stamps are
+            gear_ratio! (chain, draw) | 1 | motor over load, with its sign
+            channel_skew_s! (chain, draw) | s | how late the load's stamps are
             transmission_error_rad (chain, draw) | rad | peak to peak, over the travel
         """),
     ),
@@ -96,7 +93,7 @@ TRANSMISSION = Group(
         lag_rad (point) | rad | motor minus load, corrected for all but the play
         model_rad (point) | rad | this lag by the model
         curve_rad (point) | rad | transmission error
-        probability_of_play | 1 | probability that δ is not zero
+        probability_of_play! | 1 | probability that δ is not zero
         counted | 1 | factor on the variances by a misfit that repeats every cycle
         reversals | 1 | reversals of the motor
         noise_sd_rad | rad | white noise
@@ -191,13 +188,30 @@ class TwoEncoderMeasurer(Measurer):
         withheld = outcome_of(reasons) == "withheld"
         sure = transmission.probability_of_play >= UPPER_BOUND_LEVEL
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
-        groups = groups_of(transmission, recording, at_output=self._is_at_output(transmission))
+        of = self.config.interval
+        groups, numbers = shared.stored(
+            groups_of(transmission, recording, at_output=self._is_at_output(transmission)), of
+        )
+        for name in OF_PLAY if withheld else ():
+            numbers["parameters"].pop(name, None)
+            numbers |= {name: None} if name in numbers else {}
+        numbers |= {
+            "transmission_error": {
+                "peak_to_peak_rad": numbers["parameters"]["transmission_error_rad"],
+                "harmonics": [
+                    {"of": side, "order": order, "amplitude_rad": interval(each, of.level, of.kind)}
+                    for (side, order), each in transmission.harmonics.items()
+                ],
+            },
+            "reversals": transmission.reversals,
+            "noise": shared.no_speed_noise("drift"),
+        }
         return Answer(
             recording.name,
             transmission.draws["delta_rad"],
             reasons,
             groups,
-            _numbers(transmission, groups["posterior"], self.config.interval, is_withheld=withheld),
+            numbers,
             upper_bound_rad=None if sure or withheld else upper_bound_rad(transmission),
         )
 
@@ -310,8 +324,8 @@ def channels_of(recording: Recording) -> Channels:
 
 def groups_of(
     transmission: Transmission, recording: Recording, *, at_output: bool = False
-) -> dict[str, xr.Dataset]:
-    """All groups of one snapshot, without a ``snapshot`` dimension."""
+) -> dict[Group, object]:
+    """Data of all groups of one snapshot."""
     draws = dict(transmission.draws)
     shape = draws["delta_rad"].shape
     # What one ampere makes is not known, so a current's compliance is no compliance.
@@ -326,13 +340,11 @@ def groups_of(
         "drift_sd_rad": noise.drift_rad,
     }
     sampled, budget = _sampled(transmission), _budget(transmission)
-    return datasets(
-        {
-            POSTERIOR: draws,
-            **shared.common_groups(recording, CHANNELS, sampled, budget),
-            TRANSMISSION: (noise, transmission, own),
-        }
-    )
+    return {
+        POSTERIOR: draws,
+        **shared.common_groups(recording, CHANNELS, sampled, budget),
+        TRANSMISSION: (noise, transmission, own),
+    }
 
 
 def _sampled(transmission: Transmission) -> Diagnostics:
@@ -347,33 +359,3 @@ def _budget(transmission: Transmission) -> dict[str, float]:
     held = 0.25 * float(np.var(transmission.draws["held_windup_rad"]))
     share = min(held / max(float(np.var(transmission.draws["delta_rad"])), held, 1e-300), 1.0)
     return {"noise": 1.0 - share, "held_windup": share}
-
-
-def _numbers(
-    transmission: Transmission, posterior: xr.Dataset, of: IntervalConfig, *, is_withheld: bool
-) -> dict[str, Any]:
-    """The contract's keys, and beside them all that both encoders tell."""
-    left_out = {shared.DELTA.name, *(OF_PLAY if is_withheld else ())}
-    told = [v.name for v in POSTERIOR.variables if v.name not in left_out]
-    finite = [name for name in told if np.isfinite(posterior[name].values).all()]
-    parameters = shared.intervals(posterior, finite, of)
-    maybe = ("play_rad", "lost_motion_rad", "windup_rad_per_nm")
-    return {
-        **{name: parameters.get(name) for name in maybe},
-        "gear_ratio": parameters["gear_ratio"],
-        "channel_skew_s": parameters["channel_skew_s"],
-        "transmission_error": {
-            "peak_to_peak_rad": parameters["transmission_error_rad"],
-            "harmonics": [
-                {"of": side, "order": order, "amplitude_rad": interval(each, of.level, of.kind)}
-                for (side, order), each in transmission.harmonics.items()
-            ],
-        },
-        "probability_of_play": transmission.probability_of_play,
-        "reversals": transmission.reversals,
-        "parameters": parameters,
-        "noise": shared.no_speed_noise("drift"),
-    }
-
-
-prepare = TwoEncoderMeasurer

@@ -25,7 +25,7 @@ gaps drift, ``width_over_prior`` of the date. The keys of the summary are those 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from datetime import date as Date
 from datetime import timedelta
 from typing import Any
@@ -105,12 +105,9 @@ def by_law(share: FloatArray) -> dict[str, float]:
 class Laws:
     """Laws of wear, one per particle, in regimes from the first snapshot on.
 
-    Attributes
-    ----------
-    rows
-        Shape (1 + 3 regimes, particle): the age at the first snapshot in spans; for each regime
-        ln(age at its start / age at the first snapshot), ascending, the first 0; the exponent of
-        each; the factor by which the rate changes at the start of each.
+    ``rows``: shape (1 + 3 regimes, particle): the age at the first snapshot in spans; for each
+    regime ln(age at its start / age at the first snapshot), ascending, the first 0; the exponent of
+    each; the factor by which the rate changes at the start of each.
     """
 
     rows: FloatArray
@@ -268,11 +265,9 @@ def fall(delta_rad: FloatArray) -> tuple[int, float, float] | None:
 
     Uses joint draws, (snapshot, chain, draw), rad, so that shared errors cause no fall.
 
-    Returns
-    -------
-    Index of the snapshot below its predecessor, the fall in rad, and the fall in standard
-    deviations. ``None`` if measurement errors cause a fall as significant as this somewhere with a
-    probability of ``FALSE_ALARM`` or more (Bonferroni).
+    Returns the index of the snapshot below its predecessor, the fall in rad, and the fall in
+    standard deviations. ``None`` if measurement errors cause a fall as significant as this
+    somewhere with a probability of ``FALSE_ALARM`` or more (Bonferroni).
     """
     falls = -np.diff(delta_rad.reshape(len(delta_rad), -1), axis=0)
     mean, sd = falls.mean(axis=1), falls.std(axis=1)
@@ -314,19 +309,10 @@ def wear(
     Returns group :data:`WEAR`, or ``None`` if less than ``TOO_FEW`` of the draws grow:
     the gap shrank.
 
-    Parameters
-    ----------
-    delta_rad
-        Draws of the gaps, paired by draw, shape (snapshot, chain, draw), two snapshots or more.
-    years
-        Time of each snapshot, from any origin, shape (snapshot,), ascending, not all the same.
-    age_years
-        Time in service at the first snapshot; ``None`` if unknown.
-
-    Raises
-    ------
-    ValueError
-        If the times give no rate.
+    ``delta_rad``: draws of the gaps, paired by draw, shape (snapshot, chain, draw), two snapshots
+    or more. ``years``: time of each snapshot, from any origin, shape (snapshot,), ascending, not
+    all the same. ``age_years``: time in service at the first snapshot; ``None`` if unknown. Raises
+    ValueError if the times give no rate.
     """
     span = float(years[-1] - years[0])
     if len(years) < 2 or span <= 0.0 or np.any(np.diff(years) < 0.0):
@@ -590,18 +576,10 @@ def used_dates(group: xr.Dataset) -> list[Date]:
 class WearDraws:
     """How a joint wears: paired draws, shape (draw,).
 
-    Attributes
-    ----------
-    rate_rad_per_year
-        Mean rate from the first snapshot in use to the last.
-    kind
-        Index in :data:`KINDS` of the law at the last snapshot.
-    jump_rad
-        Mean jump of irregular wear: variance of the growth over its mean.
-    years_to_limit
-        ``None`` without a limit.
-    probability_wear
-        Probability that the gap grows at all, from lines of either sign.
+    ``rate_rad_per_year``: mean rate from the first snapshot in use to the last. ``kind``: index in
+    :data:`KINDS` of the law at the last snapshot. ``jump_rad``: mean jump of irregular wear:
+    variance of the growth over its mean. ``years_to_limit``: ``None`` without a limit.
+    ``probability_wear``: probability that the gap grows at all, from lines of either sign.
     """
 
     rate_rad_per_year: FloatArray
@@ -630,14 +608,9 @@ class WearDraws:
 
     def at(self, draws: NDArray[np.int_]) -> WearDraws:
         """Select draws by index."""
-        return WearDraws(
-            self.rate_rad_per_year[draws],
-            self.kind[draws],
-            self.jump_rad[draws],
-            self.rate_now_rad_per_year[draws],
-            None if self.years_to_limit is None else self.years_to_limit[draws],
-            self.probability_wear,
-        )
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        rows: dict[str, Any] = {n: v[draws] for n, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **rows)
 
     def summary(self, last: Date, of: IntervalConfig, before: Date | None) -> dict[str, Any]:
         """Keys of :class:`WearSummary` that follow from the draws.

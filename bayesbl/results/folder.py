@@ -30,9 +30,16 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     Raises ResultError with the name of the output; also if no file can have its name.
     """
     for output in outputs:
-        _require_possible(output)
+        try:
+            os.lstat(output)
+        except (FileNotFoundError, NotADirectoryError):
+            pass  # as it should be; making the folder may still fail
+        except (OSError, ValueError) as error:
+            raise unwritable(shortened(str(output), 200), error) from None
         for path in inputs:
-            if any(_same(output, place) for place in _places(path)):
+            # The file and all folders above it, both as named and after resolving links.
+            named, real = Path(os.path.abspath(path)), Path(os.path.realpath(path))
+            if any(_same(output, p) for p in {named, *named.parents, real, *real.parents}):
                 raise ResultError(
                     "An output would replace or delete an input.",
                     file=output,
@@ -41,7 +48,8 @@ def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
                 )
     for k, output in enumerate(outputs):
         for other in outputs[:k]:
-            if _same(output, other) or _folded(output) == _folded(other):
+            folded = [os.path.realpath(one).casefold() for one in (output, other)]
+            if _same(output, other) or folded[0] == folded[1]:
                 raise ResultError(
                     "Two outputs are the same file.",
                     file=output,
@@ -64,30 +72,11 @@ def require_inside(folder: Path, name: str) -> Path:
     return path
 
 
-def _require_possible(output: Path) -> None:
-    try:
-        os.lstat(output)
-    except (FileNotFoundError, NotADirectoryError):
-        pass  # as it should be; making the folder may still fail
-    except (OSError, ValueError) as error:
-        raise unwritable(shortened(str(output), 200), error) from None
-
-
-def _places(path: Path) -> set[Path]:
-    """A file and all its parent folders, both as named and after resolving links."""
-    named, real = Path(os.path.abspath(path)), Path(os.path.realpath(path))
-    return {named, *named.parents, real, *real.parents}
-
-
 def _same(one: Path, other: Path) -> bool:
     try:
         return os.path.samefile(one, other)
     except OSError:  # one is not there yet
         return os.path.realpath(one) == os.path.realpath(other)
-
-
-def _folded(path: Path) -> str:
-    return os.path.realpath(path).casefold()
 
 
 SUMMARY_FILE = "summary.json"

@@ -8,6 +8,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -73,7 +74,11 @@ def code_sha256() -> str:
 @cache
 def dependency_versions() -> Mapping[str, str]:
     """Version of each of :data:`DEPENDENCIES`."""
-    return {name: _version(name) for name in DEPENDENCIES}
+    found = dict.fromkeys(DEPENDENCIES, UNKNOWN)
+    for name in DEPENDENCIES:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 @cache
@@ -110,10 +115,3 @@ def _git(folder: Path, *arguments: str) -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return completed.stdout.strip()
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return UNKNOWN

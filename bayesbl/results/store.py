@@ -133,7 +133,15 @@ def read_tree(path: str | Path) -> xr.DataTree:
     _require_whole(file)
     with xr.open_datatree(file, engine="netcdf4") as opened:
         tree: xr.DataTree = opened.load()
-    _require_this_version(tree, file)
+    if tree.attrs[RESULT_MARK] != FORMAT_VERSION:
+        raise ResultError(
+            "This result was written by an earlier or a later version of bayesbl, in another "
+            "layout.",
+            file=file,
+            found=f"version {tree.attrs.get('bayesbl_version', 'unknown')}",
+            expected=f"one of this version; `bayesbl run "
+            f"{shlex.quote(str(file.with_name('config.toml')))} --force` makes it again",
+        )
     if tree.attrs.get(OUTCOME, RUNNING) == RUNNING:
         raise ResultError(
             "The run that wrote this result has not finished.",
@@ -209,18 +217,6 @@ def _require_whole(file: Path) -> None:
             found=f"{size / 1e6:.5g} MB",
             expected=f"at most {memory_bytes() / 1e6:g} MB; the environment variable "
             f"{LIMIT_VARIABLE} raises the limit",
-        )
-
-
-def _require_this_version(tree: xr.DataTree, file: Path) -> None:
-    if tree.attrs[RESULT_MARK] != FORMAT_VERSION:
-        raise ResultError(
-            "This result was written by an earlier or a later version of bayesbl, in another "
-            "layout.",
-            file=file,
-            found=f"version {tree.attrs.get('bayesbl_version', 'unknown')}",
-            expected=f"one of this version; `bayesbl run "
-            f"{shlex.quote(str(file.with_name('config.toml')))} --force` makes it again",
         )
 
 

@@ -22,7 +22,8 @@ class Variable:
     """Declaration of a stored variable or coordinate.
 
     ``unit``: ``"1"`` for a pure number, ``"text"`` for a text. ``meaning``: its long name.
-    ``optional``: whether a group may be stored without it.
+    ``optional``: whether a group may be stored without it. ``told``: whether it is a key of
+    ``summary.json`` too.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Variable:
     unit: str
     meaning: str
     optional: bool = False
+    told: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +62,9 @@ class Group:
 def table(text: str) -> tuple[Variable, ...]:
     """Declare variables by the lines of a table.
 
-    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar. A ``?``
-    behind the name makes it optional, and the unit ``text`` marks texts. Lines that are indented
-    more than the first one continue the line above.
+    A line reads ``name (dimensions) | unit | meaning``, without brackets for a scalar. Behind the
+    name, ``?`` marks what is optional and ``!`` what is told; the unit ``text`` marks texts. Lines
+    that are indented more than the first one continue the line above.
     """
     rows: list[str] = []
     margin = None
@@ -73,18 +75,13 @@ def table(text: str) -> tuple[Variable, ...]:
             rows[-1] += f" {line.strip()}"
         else:
             rows.append(line.strip())
-    return tuple(_declared(*(cell.strip() for cell in row.split("|"))) for row in rows)
-
-
-def _declared(head: str, unit: str, meaning: str) -> Variable:
-    name, _, dims = head.partition(" (")
-    return Variable(
-        name.removesuffix("?"),
-        tuple(dims.removesuffix(")").split(", ")) if dims else (),
-        unit,
-        meaning,
-        name.endswith("?"),
-    )
+    declared = []
+    for head, unit, meaning in ((cell.strip() for cell in row.split("|")) for row in rows):
+        name, _, dims = head.partition(" (")
+        axes = tuple(dims.removesuffix(")").split(", ")) if dims else ()
+        marks = {"optional": "?" in name, "told": "!" in name}
+        declared.append(Variable(name.rstrip("?!"), axes, unit, meaning, **marks))
+    return tuple(declared)
 
 
 def labels(name: str, meaning: str) -> Variable:
@@ -161,14 +158,21 @@ def _stored(group: Group, name: str, value: object) -> xr.Variable:
 def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str, xr.Dataset]:
     """Stack groups of several fits, by snapshot name, along :data:`STACKED`, padded with NaN.
 
-    A group that is missing in any fit is left out.
+    A group that is missing in any fit is left out. Dimensions without labels have the greatest
+    length of all.
     """
     names = list(groups)
     stacked = {}
     for group in next(iter(groups.values())):
         if not all(group in fit_groups for fit_groups in groups.values()):
             continue
-        parts = _of_one_size([groups[name][group] for name in names])
+        parts = [groups[name][group] for name in names]
+        sizes = [(str(d), n) for p in parts for d, n in p.sizes.items() if d not in p.coords]
+        longest = {dim: max(n for d, n in sizes if d == dim) for dim, _ in sizes}
+        parts = [
+            p.pad({dim: (0, n - p.sizes[dim]) for dim, n in longest.items() if dim in p.sizes})
+            for p in parts
+        ]
         stacked[group] = xr.concat(
             parts,
             dim=xr.Variable(STACKED, names),
@@ -187,18 +191,3 @@ def padded(rows: Sequence[object], width: int) -> NDArray[np.float64]:
     for target, row in zip(table, map(np.asarray, rows), strict=True):
         target[: row.size] = row
     return table
-
-
-def _of_one_size(parts: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-    """Pad all dimensions without labels to their greatest length with NaN."""
-    longest: dict[str, int] = {}
-    for part in parts:
-        for dim, size in part.sizes.items():
-            if dim not in part.coords:
-                longest[str(dim)] = max(longest.get(str(dim), 0), size)
-    return [
-        part.pad(
-            {dim: (0, size - part.sizes[dim]) for dim, size in longest.items() if dim in part.sizes}
-        )
-        for part in parts
-    ]

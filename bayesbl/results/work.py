@@ -1,8 +1,9 @@
-"""Finished steps of a run, stored under the hash of their inputs until the result is stored.
+"""Finished steps of runs, stored under the hash of their inputs.
 
 The address is the SHA-256 of everything that determines the numbers: the inputs and the code. An
 entry is one file that appears whole or not at all. A killed run therefore loses only the step in
-progress, and the same command continues to the same numbers. An entry that is damaged, has another
+progress, the same command continues to the same numbers, and a run in which little has changed
+makes only that. An entry that is damaged, has another
 address, or cannot be read counts as missing. Whoever can write an entry can change the numbers, so
 only this user may write to the folder.
 
@@ -19,15 +20,15 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import os
 import platform
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,7 +36,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import locked_sibling, make_own, require_own, unwritable
+from bayesbl.results.atomic import make_own, require_own, unwritable
 from bayesbl.results.provenance import code_sha256, dependency_versions
 
 T = TypeVar("T")
@@ -133,7 +134,10 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
     return [_restored(item, arrays) for item in plain] if isinstance(plain, list) else plain
 
 
-_UNFINISHED = ".unfinished"
+STORE = ".finished"  # folder beside results, for all of them
+LARGEST_STORE_BYTES = (
+    2_000_000_000  # of that folder, 300 kB a fit; the oldest entries are deleted first
+)
 _PART = ".part"  # suffix of a file being written; a killed writer leaves it
 
 
@@ -146,44 +150,23 @@ def code_identity() -> str:
 class WorkStore:
     """Finished work in one folder that only this user can write to.
 
-    ``folder``: ``None`` stores nothing: the run is made in one go. ``fresh``: whether to compute
-    and store anew even if work is stored. ``code``: part of every address, so that results of other
-    code are not recalled.
+    ``folder``: ``None`` stores nothing: the run is made in one go. ``code``: part of every address,
+    so that results of other code are not recalled.
     """
 
     folder: Path | None = None
-    fresh: bool = False
     code: str = field(default_factory=code_identity)
 
     @classmethod
-    @contextmanager
-    def beside(cls, output: Path, *, fresh: bool = False) -> Iterator[WorkStore]:
-        """The store of an unfinished run beside its output, locked; ``fresh`` clears it.
-
-        Raises ResultError if another run into the same output folder is in progress, or no folder
-        can be made.
-        """
-        with locked_sibling(output, _UNFINISHED) as folder:
-            store = cls(folder)
-            if fresh:
-                store.clear()
-            yield store
-
-    @classmethod
-    def shared(cls, folder: Path, *, fresh: bool = False) -> WorkStore:
+    def shared(cls, folder: Path) -> WorkStore:
         """A store of repeatable work; stores nothing if others can write to the folder."""
         try:
             require_own(folder)
         except FileNotFoundError:
             pass  # the folder is made by the first write
         except (OSError, ResultError):
-            return cls(None, fresh)
-        return cls(folder, fresh)
-
-    @property
-    def holds_work(self) -> bool:
-        """Whether there is anything that a later run could continue from."""
-        return bool(self._files())
+            return cls()
+        return cls(folder)
 
     def get(self, what: str, inputs: object, make: Callable[[], T], kind: type[T]) -> T:
         """Recall finished work, or make and store it.
@@ -192,7 +175,7 @@ class WorkStore:
         determines the numbers, as :func:`bayesbl.results.work.address` takes it. ``kind``: type of
         the work, as :func:`bayesbl.results.work.decoder` takes it.
         """
-        stored = None if self.fresh else self.recall(what, inputs, kind)
+        stored = self.recall(what, inputs, kind)
         if stored is not None:
             return stored
         result = make()
@@ -237,19 +220,11 @@ class WorkStore:
                 os.unlink(part)
             raise
 
-    def clear(self) -> None:
-        """Delete all entries."""
-        self._delete(self._files())
-
-    def keep_latest(self, *, size_bytes: float = math.inf, count: float = math.inf) -> None:
-        """Delete the oldest entries until the others are within this number and total size."""
+    def keep_latest(self, *, size_bytes: float) -> None:
+        """Delete the oldest entries until the others are within this total size."""
         latest = sorted(self._files().items(), key=lambda entry: -entry[1].st_mtime_ns)
-        total_bytes, old = 0, []
-        for k, (name, status) in enumerate(latest, start=1):
-            total_bytes += status.st_size
-            if total_bytes > size_bytes or k > count:
-                old.append(name)
-        self._delete(old)
+        sizes = accumulate(status.st_size for _, status in latest)
+        self._delete(n for (n, _), size in zip(latest, sizes, strict=True) if size > size_bytes)
 
     def keep_only(self, addresses: Collection[str]) -> None:
         """Delete all entries but those at these addresses or being written."""

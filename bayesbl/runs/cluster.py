@@ -197,18 +197,12 @@ def _connected(scheduler: str) -> Iterator[Client]:
             ) from None
     if kind != "Scheduler":
         raise _unanswered(scheduler, f"a {kind.lower()}")
-    with _quiet(), Client(scheduler, timeout=ANSWER_WITHIN_S, set_as_default=False) as client:
-        yield client
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence Dask's tracebacks for errors that are raised as sentences."""
     log = logging.getLogger("distributed.client")
     before = log.level
-    log.setLevel(logging.CRITICAL)
+    log.setLevel(logging.CRITICAL)  # its tracebacks are of errors that are raised as sentences
     try:
-        yield
+        with Client(scheduler, timeout=ANSWER_WITHIN_S, set_as_default=False) as client:
+            yield client
     finally:
         log.setLevel(before)
 

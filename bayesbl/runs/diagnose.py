@@ -45,13 +45,16 @@ from bayesbl.runs.workflow import Options, Plan, settings_of
 FEWEST_SAMPLES = 200
 
 
-def _forward(task: Task) -> Comparison:
-    rigid = task.bench.drive == "rigid"
-    return speed_loop.comparison(task) if rigid else closed_loop.comparison(task)
-
-
 METHODS: Mapping[Method, Callable[[Task], Comparison]] = MappingProxyType(
-    {"forward": _forward, "inverse": inverse.comparison, "free_motion": free_motion.comparison}
+    {
+        "forward": lambda task: (
+            speed_loop.comparison(task)
+            if task.bench.drive == "rigid"
+            else closed_loop.comparison(task)
+        ),
+        "inverse": inverse.comparison,
+        "free_motion": free_motion.comparison,
+    }
 )
 """Comparisons by ``[comparison] method``. Each refuses an unsuitable bench, recording or unknown
 (``UserError``)."""
@@ -59,11 +62,12 @@ METHODS: Mapping[Method, Callable[[Task], Comparison]] = MappingProxyType(
 
 def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Diagnose as configured. UserError if bench or recordings cannot be compared so."""
-    task = task_of(config)
+    method = METHODS[config.comparison.method]
+    bench, recordings = _inputs(config)
     diagnosis = work.get(
         "diagnosis",
-        (settings_of(config), task.bench, task.recordings),
-        lambda: METHODS[config.comparison.method](task).diagnose(options.progress),
+        (settings_of(config), bench, recordings),
+        lambda: method(Task(config, bench, recordings)).diagnose(options.progress),
         Diagnosis,
     )
     tree = diagnosis_tree(diagnosis, config.interval.level, config.interval.kind)
@@ -74,18 +78,15 @@ def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTr
 def describe(config: DiagnoseConfig, plan: Plan) -> None:
     """What would be compared."""
     method = METHODS[config.comparison.method]
-    plan.add("comparison", lambda: method(task_of(config)).in_words)
+    plan.add("comparison", lambda: method(Task(config, *_inputs(config))).in_words)
 
 
-def task_of(config: DiagnoseConfig) -> Task:
+def _inputs(config: DiagnoseConfig) -> tuple[Bench, tuple[Recording, ...]]:
     """Bench and recordings, read, and long enough to be compared."""
-    return Task(config, bench_from(config.bench), tuple(_recordings(config)))
-
-
-def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:
-    specs = dict(config.column_specs)
+    bench, specs = bench_from(config.bench), dict(config.column_specs)
     for name in config.comparison.known_torque:
         specs.setdefault(name, ColumnSpec(name))
+    recordings = []
     for entry in config.recordings:
         recording = read_recording(entry.file, name=entry.name, columns=specs)
         if recording.samples < FEWEST_SAMPLES * (2 if entry.use == "split" else 1):
@@ -95,7 +96,8 @@ def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:
                 found=f"{recording.samples} samples",
                 expected=f"at least {FEWEST_SAMPLES} to fit on, and as many to predict",
             )
-        yield recording
+        recordings.append(recording)
+    return bench, tuple(recordings)
 
 
 FEWEST_SETTINGS = 3  # directions and speeds: Coulomb and viscous friction and an offset take 3

@@ -45,7 +45,16 @@ def export(
     """
     tree = read_result(result)
     if bench is None:
-        bench = _configured_bench(tree, result)
+        config = tomllib.loads(tree.attrs.get("config", ""))
+        named = config.get("estimator", {}).get("bench")
+        if named is None or not Path(named).is_file():
+            raise ResultError(
+                "The bench of this result is not known.",
+                file=result,
+                found=f"no file {named}" if named else "no bench in its configuration",
+                expected="--bench FILE, the bench that it was measured with",
+            )
+        bench = Path(named)
     own = bench_from(bench)
     require_gap(own, bench)
     measured = stored_answers(tree) if "route" in tree.attrs else []
@@ -77,20 +86,6 @@ def export(
     home.mkdir(parents=True, exist_ok=True)
     write_all(targets, contents)
     return targets
-
-
-def _configured_bench(tree: xr.DataTree, result: Path) -> Path:
-    """The bench file that the configuration of a result names."""
-    config = tomllib.loads(tree.attrs.get("config", ""))
-    named = config.get("estimator", {}).get("bench")
-    if named is None or not Path(named).is_file():
-        raise ResultError(
-            "The bench of this result is not known.",
-            file=result,
-            found=f"no file {named}" if named else "no bench in its configuration",
-            expected="--bench FILE, the bench that it was measured with",
-        )
-    return Path(named)
 
 
 def _draws(posterior: xr.Dataset, bench: Bench) -> dict[str, FloatArray]:

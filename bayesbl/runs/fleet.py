@@ -12,7 +12,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import date as Date
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +21,6 @@ import xarray as xr
 import bayesbl
 from bayesbl.config.kinds import FleetConfig
 from bayesbl.config.loading import dump_config
-from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.fleet.inventory import Found, Joint, find_recordings, read_joints
 from bayesbl.fleet.measured_joint import (
     REFUSED,
@@ -30,7 +28,6 @@ from bayesbl.fleet.measured_joint import (
     JointJob,
     MeasuredJoint,
     RecordingAnswer,
-    fits_beside,
     measure_joint,
 )
 from bayesbl.fleet.plant_tables import (
@@ -52,12 +49,11 @@ from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_r
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import git_commit
 from bayesbl.results.store import Head, write_json, write_text
-from bayesbl.results.work import WorkStore
+from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan
 
 DRAWS_FOLDER = "draws.zarr"
-LARGEST_FITS_BYTES = 2_000_000_000  # of finished fits (300 kB each), for changes; the oldest go
 KEPT = ".kept"  # suffix of the hidden folder of answers
 MOST_URGENT = 20  # number of joints in the summary; the tables have all
 
@@ -92,17 +88,16 @@ class KeptJoint:
 
 def describe(config: FleetConfig, plan: Plan) -> None:
     """What would be measured."""
-    plan.add("tables", lambda: require_tables())
-    plan.add("joints", lambda: _counted(config))
 
+    def counted() -> str:
+        joints = read_joints(config.fleet)
+        recordings = find_recordings(config.fleet, joints)
+        bad = sum(one.reason is not None for one in recordings)
+        unusable = f", {bad} that cannot be used" if bad else ""
+        return f"{len(joints)}, {len(recordings) - bad} recordings{unusable}"
 
-def _counted(config: FleetConfig) -> str:
-    joints = read_joints(config.fleet)
-    recordings = find_recordings(config.fleet, joints)
-    bad = sum(one.reason is not None for one in recordings)
-    return f"{len(joints)}, {len(recordings) - bad} recordings" + (
-        f", {bad} that cannot be used" if bad else ""
-    )
+    plan.add("tables", require_tables)
+    plan.add("joints", counted)
 
 
 def run(config: FleetConfig, options: Options) -> FleetSummary:
@@ -115,17 +110,14 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     _require_own(output, options.force)
     joints = read_joints(config.fleet)
     recordings = find_recordings(config.fleet, joints)
-    fits = WorkStore.shared(fits_beside(output))
-    if options.force:
-        fits.clear()
     with locked_sibling(output, KEPT) as folder:
         jobs, refused = _jobs(config, joints, recordings)
-        store = WorkStore(folder, fresh=options.force)
+        store = WorkStore(folder)
         with new_result(output, force=True) as new:
             summary = _write(config, jobs, refused, _answers(config, jobs, store, options), new)
             # The pages are made of the tables alone.
             options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new, options.formats)
-    fits.keep_latest(size_bytes=LARGEST_FITS_BYTES)
+    WorkStore.shared(output.parent / STORE).keep_latest(size_bytes=LARGEST_STORE_BYTES)
     return summary
 
 
@@ -172,17 +164,21 @@ def _copied(one: Found, alike: Sequence[Found]) -> str | None:
 def _answers(
     config: FleetConfig, jobs: Sequence[JointJob], store: WorkStore, options: Options
 ) -> Iterator[tuple[JointJob, KeptJoint]]:
-    """Joints with their answers: first the kept ones, then those measured now, as they end.
+    """Joints with their answers: first the kept ones, then those measured now, as they end. Of the
+    latter, recordings that earlier runs measured are known.
 
     At the end, answers that no file leads to any more are deleted.
     """
     lacking = []
     for job in jobs:
-        kept = None if store.fresh else store.recall("joint", job.problem(), KeptJoint)
-        if kept is None:
-            lacking.append(_with_known(job, store))
-        else:
+        kept = store.recall("joint", job.problem(), KeptJoint)
+        if kept is not None:
             yield job, kept
+            continue
+        numbers = range(len(job.recordings))
+        found = (store.recall("recording", job.problem_of(n), RecordingAnswer) for n in numbers)
+        known = {n: answer for n, answer in enumerate(found) if answer is not None}
+        lacking.append(replace(job, known=known))
     if lacking:
         new = sum(len(job.recordings) - len(job.known) for job in lacking)
         options.say(
@@ -211,16 +207,6 @@ def _answers(
         numbers = range(len(job.recordings))
         used |= {store.address_of("recording", job.problem_of(number)) for number in numbers}
     store.keep_only(used)
-
-
-def _with_known(job: JointJob, store: WorkStore) -> JointJob:
-    """The job with the answers that earlier runs kept."""
-    if store.fresh:
-        return job
-    numbers = range(len(job.recordings))
-    kept = (store.recall("recording", job.problem_of(n), RecordingAnswer) for n in numbers)
-    known = {n: answer for n, answer in zip(numbers, kept, strict=True) if answer is not None}
-    return replace(job, known=known)
 
 
 def _measured(
@@ -268,9 +254,7 @@ def _write(
     of_joints = joint_rows(measured, borrowed, config.interval, asked.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
-    summary = summary_of(
-        rows, of_joints, types, config.interval, config.run.seed, asked.pool_by, asked.decide_before
-    )
+    summary = summary_of(config, rows, of_joints, types)
     write_json(summary, folder / SUMMARY_FILE)
     write_text(dump_config(config), folder / CONFIG_FILE)
     return summary
@@ -292,15 +276,13 @@ def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
 
 
 def summary_of(
+    config: FleetConfig,
     rows: Sequence[Mapping[str, Any]],
     joints: Sequence[Mapping[str, Any]],
     types: Mapping[str, TypeRates],
-    of: IntervalConfig,
-    seed: int,
-    pool_by: str | None,
-    before: Date | None,
 ) -> FleetSummary:
     """``summary.json`` from the rows of both tables."""
+    of, before = config.interval, config.fleet.decide_before
     counted = Counter(str(row["outcome"]) for row in rows)
     any_gap = any(row["delta_rad_median"] is not None for row in rows)
     rates = {
@@ -324,7 +306,7 @@ def summary_of(
         "warnings": [],
         "version": bayesbl.__version__,
         "commit": git_commit(),
-        "seed": seed,
+        "seed": config.run.seed,
         "joints": len(joints),
         "with_rate": sum(row["rate_rad_per_year_median"] is not None for row in joints),
         "recordings": dict(counted),
@@ -333,6 +315,6 @@ def summary_of(
         "most_urgent": [dict(row) for row in joints[:MOST_URGENT]],
         "level": of.level,
         "interval_kind": of.kind,
-        "pool_by": pool_by,
+        "pool_by": config.fleet.pool_by,
         "decide_before": None if before is None else before.isoformat(),
     }

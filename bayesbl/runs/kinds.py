@@ -18,10 +18,10 @@ from bayesbl.arguments import Tree, checked
 from bayesbl.config.kinds import FILES, KINDS
 from bayesbl.config.loading import config_from_options, files_of, load_config, require_text_names
 from bayesbl.config.sections import RunConfig
-from bayesbl.errors import ResultError, UserError
+from bayesbl.errors import ResultError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import AUGMENTED_BENCH, CONFIG_FILE, IDENTIFIED_BENCH, require_apart
-from bayesbl.results.work import NOTHING_KEPT
+from bayesbl.results.work import NOTHING_KEPT, STORE, WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, work_of, write_result
 from bayesbl.sentences import with_sentences
 
@@ -81,9 +81,8 @@ def kind_of(path: str | Path) -> str:
 def run(config: RunConfig, options: Options, file: Path | None = None) -> Summary:
     """Run a configuration and write its output folder; return the summary that was stored.
 
-    Finished steps of an unfinished run of the same problem are reused. ``file``: the
-    configuration's file, if it has one. Raises UserError if the folder may not be written, or the
-    configuration cannot be used.
+    Steps that an earlier run finished are reused. ``file``: the configuration's file, if it has
+    one. Raises UserError if the folder may not be written, or the configuration cannot be used.
     """
     _require_output_apart(config, file)
     plan = Plan(file)
@@ -97,29 +96,25 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
         written: Summary = workflow.run(config, options)
         return written
     with work_of(config, options) as work:
-        if work.holds_work:
-            options.say("What an unfinished run has of the same problem is not done again.")
-        try:
-            tree = workflow.make(config, options, work)
-        except ResultError:
-            raise  # a full disk may have room the next time
-        except UserError:
-            work.clear()  # it would end the same way again
-            raise
+        tree = workflow.make(config, options, work)
         texts = {
             AUGMENTED_BENCH: tree.attrs.get("augmented_bench", ""),
             IDENTIFIED_BENCH: tree.attrs.get("identified_bench", ""),
         }
         summary = summarise(tree)
-        write_result(tree, summary, config, options, texts, work)
+        write_result(tree, summary, config, options, texts)
     return summary
 
 
 def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> xr.DataTree:
-    """The result of a run without an output folder. UserError if it cannot be run."""
-    made: xr.DataTree = _workflow(config.kind).make(
-        config, Options(progress=progress), NOTHING_KEPT
-    )
+    """The result of a run without an output folder. UserError if it cannot be run.
+
+    Nothing is kept but the simulations of a sweep.
+    """
+    kept = WorkStore.shared(config.run.output.parent / STORE)
+    work = kept if config.kind == "sweep" else NOTHING_KEPT
+    options = Options(progress=progress, say=lambda sentence: None)
+    made: xr.DataTree = _workflow(config.kind).make(config, options, work)
     return made
 
 

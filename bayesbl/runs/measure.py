@@ -17,7 +17,6 @@ from bayesbl.measurement.compatibility import (
     require_different,
     require_plausible_limit,
 )
-from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.probabilities import normal_isf
@@ -30,15 +29,8 @@ if TYPE_CHECKING:
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
-    """Measure; gap curves are kept beside the output folder."""
-    swept = WorkStore.shared(config.run.output.parent / STORE)
-    if config.estimator.bench is not None and swept.folder is None:
-        options.say(
-            f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
-        )
-    return measure(
-        config, options.progress, work, options.say, swept, recordings=options.recordings
-    )
+    """Measure; with other dates or another limit, fits and curves are those of an earlier run."""
+    return measure(config, options.progress, work, options.say, recordings=options.recordings)
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:

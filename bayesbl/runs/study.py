@@ -39,7 +39,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -88,11 +88,6 @@ class Study:
     def name(self) -> str:
         """File name without suffix."""
         return self.path.stem
-
-    @property
-    def columns(self) -> Mapping[str, tuple[str, str]]:
-        """Unit and long name of the cases' numbers, as far as the study states them."""
-        return getattr(self.module, "COLUMNS", {})
 
     def figure(self, table: Sequence[Table], cases: Mapping[str, xr.Dataset]) -> Figure:
         """The study's own figure."""
@@ -287,28 +282,26 @@ class Row:
     def name(self) -> str:
         return str(self.table["name"])
 
-    def jobs(self, seed: int) -> list[Job]:
-        """The cases to run."""
-        return [
-            Job(self.table, index, seed) for index in range(self.count) if index not in self.cases
-        ]
-
 
 def run(config: StudyConfig, options: Options) -> StudySummary:
-    """Run the unfinished cases of a study, write its output folder, and return the summary.
+    """Run the cases of a study that no run has finished, write its output folder, and return the
+    summary.
 
-    Cases of an unfinished run are reused if the definition of their row is the same. Raises
-    UserError if the study, a row or the output folder cannot be used.
+    A case is the same as long as the definition of its row is. Raises UserError if the study, a row
+    or the output folder cannot be used.
     """
     study, rows = prepare(config)
     with work_of(config, options) as work:
         for row in rows:
-            _take_from_store(row, work, options.say)
+            kept = (work.recall("case", (row.definition, n), Case) for n in range(row.count))
+            row.cases = {case.index: case for case in kept if case is not None}
+            if row.cases:
+                options.say(f'Row "{row.name}" has {len(row.cases)} of {row.count} cases already.')
         _finish(study, rows, config, work, options)
         tree = _tree(study, rows, config)
         summary: StudySummary = summary_of(tree)
         drawn = replace(options, draw=partial(draw_study, study))
-        write_result(tree, summary, config, drawn, {TABLE_FILE: table_csv(summary["rows"])}, work)
+        write_result(tree, summary, config, drawn, {TABLE_FILE: table_csv(summary["rows"])})
     return summary
 
 
@@ -374,17 +367,10 @@ def cell(value: object) -> str:
 
 def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.Dataset]]:
     """Lines of a result's table, and the cases of each row by name."""
-    groups = _groups(tree)
+    names = sorted(tree.children, key=lambda name: int(name.removeprefix("row_")))
+    groups = [tree[name].to_dataset() for name in names]
     lines = [json.loads(group.attrs["line"]) for group in groups]
     return lines, {group.attrs["name"]: group for group in groups}
-
-
-def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> None:
-    """Give a row the cases that an unfinished run stored."""
-    stored = (work.recall("case", (row.definition, index), Case) for index in range(row.count))
-    row.cases = {case.index: case for case in stored if case is not None}
-    if row.cases:
-        say(f'Row "{row.name}" goes on after {len(row.cases)} of {row.count} cases.')
 
 
 def _finish(
@@ -392,7 +378,12 @@ def _finish(
 ) -> None:
     """Run all missing cases, in any order, and store each as soon as it ends."""
     by_name = {row.name: row for row in rows}
-    jobs = [job for row in rows for job in row.jobs(config.run.seed)]
+    jobs = [
+        Job(row.table, index, config.run.seed)
+        for row in rows
+        for index in range(row.count)
+        if index not in row.cases
+    ]
     if not jobs:
         return
     if options.progress is not None:
@@ -402,7 +393,8 @@ def _finish(
     try:
         for job, case in run_jobs(run, jobs, files, config.run, options.say, "cases"):
             row = by_name[job.row]
-            work.keep("case", (row.definition, case.index), case)
+            if not case.message:  # what refused it may be gone the next time
+                work.keep("case", (row.definition, case.index), case)
             if case.message and not any(other.message for other in row.cases.values()):
                 options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
             row.cases[case.index] = case
@@ -434,6 +426,12 @@ def _row_group(study: Study, row: Row) -> xr.Dataset:
     """All cases of a row with its line of the table."""
     cases = [row.cases[index] for index in range(row.count)]
     names = dict.fromkeys(name for case in cases for name in case.values)
+
+    def described(name: str) -> dict[str, str]:
+        stated = getattr(study.module, "COLUMNS", {})
+        unit, long_name = OWN_COLUMNS.get(name) or stated.get(name, ("", name))
+        return {"units": unit, "long_name": long_name}
+
     columns: dict[str, Sequence[float] | Sequence[str]] = {
         name: [case.values.get(name, np.nan) for case in cases] for name in names
     }
@@ -441,7 +439,7 @@ def _row_group(study: Study, row: Row) -> xr.Dataset:
     columns["message"] = [case.message for case in cases]
     columns["seconds"] = [case.seconds for case in cases]
     group = xr.Dataset(
-        {name: ("case", values, _described(study, name)) for name, values in columns.items()},
+        {name: ("case", values, described(name)) for name, values in columns.items()},
         {"case": np.arange(row.count)},
     )
     done = np.flatnonzero(group["failed"].values == 0.0)
@@ -459,17 +457,6 @@ def _row_group(study: Study, row: Row) -> xr.Dataset:
         "line": json.dumps(line, ensure_ascii=False),
     }
     return group
-
-
-def _described(study: Study, name: str) -> dict[str, str]:
-    unit, long_name = OWN_COLUMNS.get(name) or study.columns.get(name, ("", name))
-    return {"units": unit, "long_name": long_name}
-
-
-def _groups(tree: xr.DataTree) -> list[xr.Dataset]:
-    """The rows of a result in order."""
-    names = sorted(tree.children, key=lambda name: int(name.removeprefix("row_")))
-    return [tree[name].to_dataset() for name in names]
 
 
 def draw_study(study: Study, tree: xr.DataTree, folder: Path, formats: Sequence[str]) -> list[Path]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -14,11 +13,10 @@ from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports, swept_curve
+from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports
 from bayesbl.errors import ConfigError
-from bayesbl.measurement.curves import CURVE, MOST_KEPT, STORE, SweepProblem, curve_group
+from bayesbl.measurement.curves import CURVE, SweepProblem, curve_group
 from bayesbl.progress import of_stage
-from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, json_text
@@ -62,25 +60,6 @@ BENCH_DRAWS = Group(
 )
 
 
-def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
-    """Noise-free speed over a rotation at a few gaps, the arm's first, for figures."""
-    gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
-    level_rad = 0.5 * math.pi - bench.value("gravity_angle_rad")
-    speeds = bench.simulate_many(
-        gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=level_rad
-    )
-    time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
-    return {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds}
-
-
-def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
-    """Inverse of eq. 4 by interpolation on a fine grid, rpm."""
-    curve = published_curve(draws=1)
-    low, high = curve.amplitude_range_rpm
-    grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
-    return np.asarray(np.interp(gap_rad, curve.gap(grid), grid))
-
-
 class SweepSummary(Head):
     """``summary.json`` of a sweep."""
 
@@ -104,59 +83,71 @@ def describe(config: SweepConfig, plan: Plan) -> None:
     """Which bench would be swept, and over which gaps."""
     bench = bench_from(config.bench)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
-    plan.add("gaps", partial(_gaps, config, bench))
 
+    def gaps() -> str:
+        require_drawable(config, bench)
+        _require_possible(config, bench)
+        gap = config.sweep.gap_rad
+        return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
 
-def _gaps(config: SweepConfig, bench: Bench) -> str:
-    require_drawable(config, bench)
-    _require_possible(config, bench)
-    gap = config.sweep.gap_rad
-    return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
+    plan.add("gaps", gaps)
 
 
 def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Sweep a bench and regress its gap curve.
 
-    Rows of the same problem by the same code are reused from the store of curves on demand, unless
-    ``options.force``. Raises UserError if the bench cannot be used, a simulation fails, or the
+    Raises UserError if the bench cannot be used, a simulation fails, or the
     curve is not monotone.
     """
     bench = bench_from(config.bench)
     require_flank_change(bench)
     require_drawable(config, bench)
-    rows = WorkStore.shared(config.run.output.parent / STORE, fresh=options.force)
-    problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, rows)
-    nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
-        4
+    section, gap, of_model = config.sweep, config.sweep.gap_rad, config.estimator.model
+    model = DisturbanceModel(of_model.baseline_harmonics, of_model.fixed, of_model.ranges)
+    model = replace(model, ranges=model.lasting_ranges)
+    settings = SweepSettings(
+        gap.low,
+        gap.high,
+        gap.count,
+        gap.spacing,
+        section.start_angles,
+        section.rotations,
+        section.sampling_hz,
     )
-    rows.keep_latest(count=MOST_KEPT)
-    workers = config.run.workers
-    nominal = problem.nominal(nominal_seed, workers)
-    report = of_stage(options.progress, "Simulating bench draws")
-    swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, report)
+    problem = SweepProblem(bench, model, settings, config.run.seed, work)
     # Of the sweep's sampling and the bench's speed.
-    recording = bench.simulate(
-        config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
-    )
-    fingerprint = Estimator(model=problem.model).fingerprint(recording)
-    curve = swept_curve(
+    recording = bench.simulate(gap.low, rotations=2.0, sampling_hz=section.sampling_hz)
+    curve, nominal, swept = problem.curve(
         str(config.run.output),
-        nominal,
-        problem.model,
         config.sweep.degree,
-        fingerprint,
-        curve_seed,
-        swept,
+        Estimator(model=problem.model).fingerprint(recording),
+        nominal_speed_rpm(recording),
+        config.sweep.bench_draws,
+        config.run.workers,
+        of_stage(options.progress, "Simulating bench draws"),
     )
-    curve = replace(curve, reference_speed_rpm=nominal_speed_rpm(recording))
     if (first := nominal.gap_rad[0]) > problem.settings.gap_rad[0]:
         leaps = f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing"
         curve = replace(curve, warnings=(f"{leaps}, and the curve begins there.",))
     symbols = {name: nominal.symbol(name, problem.model.fixed) for name in (FREQUENCY, DECAY)}
-    ratio = nominal.amplitude_rpm.mean(axis=1) / _published_amplitude(nominal.gap_rad)
+    published = published_curve(draws=1)  # eq. 4, inverted by interpolation on a fine grid
+    low, high = published.amplitude_range_rpm
+    grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
+    published_rpm = np.interp(nominal.gap_rad, published.gap(grid), grid)
+    ratio = nominal.amplitude_rpm.mean(axis=1) / published_rpm
+    # Noise-free speed over a rotation at a few gaps, for figures; it begins with a level arm.
+    example_gaps = np.geomspace(gap.low, gap.high, EXAMPLE_GAPS)
+    level_rad = 0.5 * math.pi - bench.value("gravity_angle_rad")
+    speeds = bench.simulate_many(
+        example_gaps, rotations=1.0, sampling_hz=section.sampling_hz, start_angle_rad=level_rad
+    )
     groups: dict[Group, object] = {
         SWEEP: (nominal, symbols),
-        EXAMPLES: _examples(bench, problem.settings),
+        EXAMPLES: {
+            "gap_rad": example_gaps,
+            "time_s": np.arange(speeds.shape[1]) / section.sampling_hz,
+            "motor_speed_rpm": speeds,
+        },
     }
     if swept is not None:
         groups[BENCH_DRAWS] = {
@@ -165,6 +156,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
             "parameter": list(swept.names),
             "quantity": ["ln_amplitude", "ln_frequency", "ln_decay"],
         }
+    *_, band_seed = np.random.SeedSequence(config.run.seed).spawn(4)
     of_curve = {CURVE.name: curve_group(curve, config.interval.level, band_seed)}
     tree = xr.DataTree.from_dict({**datasets(groups), **of_curve})
     tree.attrs = {
@@ -215,22 +207,3 @@ def _require_possible(config: SweepConfig, bench: Bench) -> None:
     )
     require_flank_change(bench)
     bench.simulate(section.gap_rad.high, rotations=0.1, sampling_hz=section.sampling_hz)
-
-
-def _model(config: SweepConfig) -> DisturbanceModel:
-    section = config.estimator.model
-    model = DisturbanceModel(section.baseline_harmonics, section.fixed, section.ranges)
-    return replace(model, ranges=model.lasting_ranges)
-
-
-def _settings(config: SweepConfig) -> SweepSettings:
-    section, gap = config.sweep, config.sweep.gap_rad
-    return SweepSettings(
-        gap.low,
-        gap.high,
-        gap.count,
-        gap.spacing,
-        section.start_angles,
-        section.rotations,
-        section.sampling_hz,
-    )

@@ -34,13 +34,12 @@ from bayesbl.fleet.measured_joint import (
     REFUSED,
     JointJob,
     RecordingAnswer,
-    fits_beside,
     measure_recording,
 )
 from bayesbl.fleet.plant_tables import recording_row
 from bayesbl.fleet.recording_table import RecordingTable
 from bayesbl.results.atomic import sibling
-from bayesbl.results.work import WorkStore
+from bayesbl.results.work import STORE, WorkStore
 from bayesbl.runs.fleet import KEPT
 
 SETTLED_S = 5.0  # time without a change of size or date after which a file is complete
@@ -181,7 +180,7 @@ class _Measuring:
             answer = measure_recording(job, 0)
             if answer.lasting:
                 self.store.keep("recording", problem, answer)
-        for kept in (self.store, WorkStore.shared(fits_beside(self.config.run.output))):
+        for kept in (self.store, WorkStore.shared(self.config.run.output.parent / STORE)):
             kept.keep_latest(size_bytes=LARGEST_KEPT_BYTES)
         return answer
 

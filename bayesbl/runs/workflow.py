@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ConfigError, UserError
-from bayesbl.results.atomic import unwritable
+from bayesbl.results.atomic import locked_sibling, unwritable
 from bayesbl.results.folder import (
     CONFIG_FILE,
     FIGURES,
@@ -23,7 +23,7 @@ from bayesbl.results.folder import (
     require_free,
     require_no_file,
 )
-from bayesbl.results.work import WorkStore
+from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]
 """Draws the figures of a result into a folder, in these formats (png, pdf)."""
 
+RUNNING = ".running"  # suffix of the hidden folder whose lock a run holds
 LONGEST_S = 7 * 24 * 3600.0  # longest duration of a run
 
 
@@ -43,7 +44,7 @@ class Options:
     """How to run, for any kind."""
 
     draw: Draw = lambda tree, folder, formats: None
-    force: bool = False  # replace a finished result; start over an unfinished run
+    force: bool = False  # replace a finished result
     progress: StageProgress | None = None
     say: Callable[[str], None] = print  # prints sentences for the user
     formats: Sequence[str] = ("png",)  # of figures
@@ -77,15 +78,19 @@ class Plan:
 
 @contextmanager
 def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
-    """The finished work of an unfinished run of a configuration.
+    """The finished steps of this and earlier runs, and the output folder for this run alone.
 
-    Raises ResultError if the output folder holds a result to keep, or may not be written.
+    Raises ResultError if the output folder holds a result to keep, or may not be written, or
+    another run is writing it.
     """
     output = config.run.output
-    # A run may have been killed when its result was there, and its work not yet forgotten.
-    with WorkStore.beside(output, fresh=options.force or is_finished(output)) as work:
+    with locked_sibling(output, RUNNING):
         require_free(output, force=options.force)
+        work = WorkStore.shared(output.parent / STORE)
+        if work.folder is None:
+            options.say(f"{output.parent / STORE} may be of somebody else: nothing is kept.")
         yield work
+        work.keep_latest(size_bytes=LARGEST_STORE_BYTES)
 
 
 def require_output(folder: Path) -> str:
@@ -134,9 +139,8 @@ def write_result(
     config: RunConfig,
     options: Options,
     texts: Mapping[str, str],
-    work: WorkStore,
 ) -> None:
-    """Write the output folder of a result, whole or not at all; then delete finished work.
+    """Write the output folder of a result, whole or not at all.
 
     If drawing fails, the result is stored with the figures drawn so far, because these can be drawn
     again, and the failure is raised afterwards with a note. ``texts``: further files by name,
@@ -156,7 +160,6 @@ def write_result(
                 options.draw(tree, folder / FIGURES, options.formats)
         except Exception as error:
             failure = error
-    work.clear()
     if failure is not None:
         failure.add_note(
             f"The result is stored in {config.run.output}; only figures are missing. To draw them "

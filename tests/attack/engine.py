@@ -45,7 +45,7 @@ NOBODY = 65534
 DONE, WRONG, WITHHELD, STOPPED = 0, 2, 3, -1
 """Exit statuses; ``STOPPED`` is a command that was let go on long enough."""
 
-KEPT = (".curves",)
+KEPT = (".finished",)
 """Hidden folders that are kept on purpose: simulations that other sweeps need again."""
 
 Finding = tuple[str, str]

@@ -386,6 +386,16 @@ def test_options_win_over_the_file_they_start_from(
     assert config.run.seed == 7
 
 
+def test_other_recordings_have_an_output_folder_of_their_own(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    base = write(folder, COMPARE + FULL)
+    own = config_from_options("compare", ["after.csv", "before.csv"], base).run.output
+    assert own == folder / "results" / "compare_after_before"
+    assert load_config(base).run.output != own
+
+
 def test_what_a_file_states_of_a_recording_holds_where_that_is_named_again(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

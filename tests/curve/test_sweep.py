@@ -33,7 +33,6 @@ from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.results.work import NOTHING_KEPT
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.objective import Objective
@@ -42,8 +41,6 @@ from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
 from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.runs.kinds import check, result_of_run
-from bayesbl.runs.sweep import make
-from bayesbl.runs.workflow import Options
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
 TOLERANT = (
@@ -457,7 +454,7 @@ def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_s
     tmp_path: Path,  # type: ignore[no-untyped-def]
 ) -> None:
     folder, config, first = tolerant_sweep
-    cache = folder / "out" / ".curves"
+    cache = folder / "out" / ".finished"
     made = {path.name: path.stat().st_mtime_ns for path in cache.iterdir()}
     assert len(made) == 25
     again = result_of_run(config)
@@ -472,7 +469,7 @@ def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_s
 
 
 @pytest.mark.long
-def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
+def test_rows_made_by_other_code_are_not_taken_from_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = sweep_config(tmp_path, draws=0)
@@ -490,17 +487,12 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
         edited.setattr("bayesbl.results.work.code_sha256", lambda: "another code")
         other = result_of_run(config)
     assert len(made) == 1
-    anew = make(config, Options(force=True), NOTHING_KEPT)
-    assert len(made) == 2
-    for swept in (other, anew):
-        np.testing.assert_array_equal(
-            swept["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"]
-        )
+    np.testing.assert_array_equal(other["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
 
 
 def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: ignore[no-untyped-def]
     folder, config, first = tolerant_sweep
-    entry = sorted((folder / "out" / ".curves").iterdir())[0]
+    entry = sorted((folder / "out" / ".finished").iterdir())[0]
     entry.write_bytes(entry.read_bytes()[:100])
     again = result_of_run(config)
     np.testing.assert_array_equal(

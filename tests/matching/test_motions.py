@@ -22,8 +22,7 @@ from bayesbl.matching.observed import observed
 from bayesbl.matching.planning import Strokes, ranked_motions
 from bayesbl.matching.predictive_check import disagreements
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
-from bayesbl.measurement.direct_route import direct_reasons, fit_directly
-from bayesbl.measurement.motion_verdict import unknown_start
+from bayesbl.measurement.direct_route import direct_reasons, fit_directly, unknown_start
 from bayesbl.model_search.pipeline import direct_unknowns
 from bayesbl.model_search.refit import Explanation
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise

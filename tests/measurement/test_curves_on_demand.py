@@ -15,7 +15,7 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.measurement.amplitude_route import AmplitudeMeasurer, prepare
+from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.measurement import Seeds, Task
 from bayesbl.recording.types import Recording
@@ -54,7 +54,7 @@ def task_of(recordings: list[Recording], folder: Path, bench: Path, store: WorkS
     )
     config = config_from_options("compare", (), tables)
     assert isinstance(config, SnapshotConfig)
-    return Task(config, tuple(recordings), Seeds.spawn(1, len(recordings)), swept=store)
+    return Task(config, tuple(recordings), Seeds.spawn(1, len(recordings)), work=store)
 
 
 def ringing(made: Recording) -> MeasuredRinging:
@@ -93,7 +93,7 @@ def test_what_was_swept_is_read_the_next_time_and_the_store_is_bounded(
     monkeypatch.setattr("bayesbl.measurement.curves.sweep_nominal", never)
     read, _ = AmplitudeMeasurer(task.config, bench).curves(task)
     assert np.array_equal(read.coefficients, first.coefficients)
-    monkeypatch.setattr("bayesbl.measurement.curves.MOST_KEPT", 0)
+    monkeypatch.setattr("bayesbl.measurement.curves.LARGEST_STORE_BYTES", 0)
     AmplitudeMeasurer(task.config, bench).curves(task)
     assert store.folder is not None
     assert [*store.folder.iterdir()] == []
@@ -130,9 +130,9 @@ def test_a_bench_does_not_keep_the_snapshots_from_being_compared(tmp_path: Path)
     ]
     store = WorkStore(tmp_path / "kept")
     alike = task_of(recordings[:2], tmp_path, KNOWN, store)
-    assert prepare(alike.config).measure(alike).same_joint["agrees"]
+    assert AmplitudeMeasurer(alike.config).measure(alike).same_joint["agrees"]
     other = task_of(recordings[::2], tmp_path, KNOWN, store)
-    found = prepare(other.config).measure(other)
+    found = AmplitudeMeasurer(other.config).measure(other)
     assert found.same_joint["could_be"][0] == "motor_coulomb_friction"
     assert found.change_reason is not None
 
@@ -153,7 +153,7 @@ def test_what_is_stated_of_one_snapshot_is_no_change_of_the_joint(tmp_path: Path
     first, softer = task.config.recordings
     known = softer.model_copy(update={"bench": {"speed_gain_nm_s_per_rad": gain}})
     config = task.config.model_copy(update={"recordings": [first, known]})
-    found = prepare(config).measure(replace(task, config=config))
+    found = AmplitudeMeasurer(config).measure(replace(task, config=config))
     assert found.change_reason is None
     for snapshot in found.answers:
         # Of two intervals of 99 % one misses the truth in 2 of 100 seeds; this one is fixed.

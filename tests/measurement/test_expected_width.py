@@ -17,7 +17,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.expected_width import expected_sds
+from bayesbl.measurement.direct_route import expected_sds
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.model_search.always_in import directions, with_far_terms_freed, with_friction
 from bayesbl.model_search.pipeline import direct_unknowns

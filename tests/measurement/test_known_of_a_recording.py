@@ -77,7 +77,7 @@ def test_a_bench_of_another_gear_ratio_gives_no_gap_by_either_route(
         config,
         tuple(recording_of(entry, config) for entry in config.recordings),
         Seeds.spawn(1, 2),
-        swept=WorkStore(tmp_path / "kept"),
+        work=WorkStore(tmp_path / "kept"),
     )
     with pytest.raises(ConfigError, match="120 turns of the motor"):
         measurer_of(config).measure(task)
@@ -91,7 +91,7 @@ def test_the_curve_of_a_recording_is_of_the_bench_as_it_was_then(tmp_path: Path)
         config,
         tuple(recording_of(entry, config) for entry in config.recordings),
         Seeds.spawn(1, 2),
-        swept=WorkStore(tmp_path / "kept"),
+        work=WorkStore(tmp_path / "kept"),
     )
     before, after = AmplitudeMeasurer(config, bench).curves(task)
     weaker = bench_with(bench, {"speed_gain_nm_s_per_rad": 0.1665})

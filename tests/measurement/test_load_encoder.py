@@ -22,8 +22,8 @@ from bayesbl.bench.simulation import simulate_motions
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.measurement import CompareConfig
+from bayesbl.measurement.auto_route import disagreement, with_witness, within_bound
 from bayesbl.measurement.measurement import Answer, Measurement, Seeds, Task
-from bayesbl.measurement.witness import disagreement, with_witness, within_bound
 from bayesbl.presentation.answer import lead, which
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, Recording
 from bayesbl.results.store import read_tree

@@ -8,6 +8,7 @@ import pytest
 from bayesbl.config.bench import reference_bench
 from bayesbl.measurement.amplitude_route import amplitude_groups
 from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.results.variables import datasets
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -28,7 +29,8 @@ def test_the_band_holds_its_share_whatever_misfit_repeats(gap_rad: float, noise_
     quick = Estimator(sampler=SamplerSettings(ensembles=2, max_steps=200))
     fit = quick.fit(recording, np.random.SeedSequence(1))
     # Noise and parameters alone held 27 to 85 % here.
-    band = amplitude_groups(fit, None, None, LEVEL, np.random.SeedSequence(2))["predictive"]
+    groups = datasets(amplitude_groups(fit, None, None, LEVEL, np.random.SeedSequence(2)))
+    band = groups["predictive"]
     for speed in (fitted, again):
         share = np.mean((speed > band["low_rpm"].values) & (speed < band["high_rpm"].values))
         # 0.22 % is one standard deviation of the share of 18000 samples.

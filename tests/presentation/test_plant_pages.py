@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plant_scale import LEVEL, simulated
+from plant_scale import LEVEL, config_of, simulated
 
 from bayesbl.fleet.plant_tables import (
     JOINT_COLUMNS,
@@ -47,7 +47,7 @@ def pages(folder: Path, faster: float) -> dict[str, str]:
     of_joints = joint_rows(measured, borrowed, LEVEL, None)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
-    summary = summary_of(rows, of_joints, types, LEVEL, 1, "gearbox", None)
+    summary = summary_of(config_of("gearbox", None), rows, of_joints, types)
     write_json(summary, folder / SUMMARY_FILE)
     (told,) = types_in_words(summary)
     assert "Share of joints unlike the rest" in told
@@ -85,7 +85,7 @@ def test_joints_are_ranked_by_what_each_is_expected_to_cost(tmp_path):
         assert row["expected_cost"] == chance * costs[row["joint"]]
     write_table(rows, RECORDING_COLUMNS, tmp_path / RECORDINGS_FILE)
     write_table(by_cost, JOINT_COLUMNS, tmp_path / JOINTS_FILE)
-    summary = summary_of(rows, by_cost, {}, LEVEL, 1, None, before)
+    summary = summary_of(config_of(None, before), rows, by_cost, {})
     write_json(summary, tmp_path / SUMMARY_FILE)
     index, *_ = write_pages(tmp_path)
     text = index.read_text(encoding="utf-8")

@@ -32,39 +32,35 @@ def make(path: Path) -> None:
         (folder / "summary.json").write_text("{}")
 
 
-@pytest.mark.parametrize("suffix", [".unfinished", ".kept", ".growing"])
-@pytest.mark.parametrize("fresh", [False, True])
-def test_a_link_planted_where_a_run_keeps_its_work_is_refused(tmp_path, foreign, suffix, fresh):
+@pytest.mark.parametrize("suffix", [".running", ".kept", ".growing"])
+def test_a_link_planted_where_a_run_keeps_its_work_is_refused(tmp_path, foreign, suffix):
     (tmp_path / f".out{suffix}").symlink_to(foreign, target_is_directory=True)
     with (
         pytest.raises(ResultError, match="somebody else"),
         locked_sibling(tmp_path / "out", suffix),
     ):
         pass
-    if suffix == ".unfinished":
-        with (
-            pytest.raises(ResultError, match="somebody else"),
-            WorkStore.beside(tmp_path / "out", fresh=fresh),
-        ):
-            pass
     assert (foreign / "thesis.tex").read_text() == "mine"
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o707])
 def test_a_folder_that_others_can_write_is_not_taken_for_our_own(tmp_path, mode):
-    planted = tmp_path / ".out.unfinished"
+    planted = tmp_path / ".out.kept"
     planted.mkdir()
     planted.chmod(mode)
-    with pytest.raises(ResultError, match="chmod 700"), WorkStore.beside(tmp_path / "out"):
+    with pytest.raises(ResultError, match="chmod 700"), locked_sibling(tmp_path / "out", ".kept"):
         pass
 
 
 @AS_NOBODY
 def test_a_folder_of_another_user_is_not_taken_for_our_own(tmp_path):
-    planted = tmp_path / ".out.unfinished"
+    planted = tmp_path / ".out.kept"
     planted.mkdir(0o700)
     os.chown(planted, NOBODY, NOBODY)
-    with pytest.raises(ResultError, match="somebody else"), WorkStore.beside(tmp_path / "out"):
+    with (
+        pytest.raises(ResultError, match="somebody else"),
+        locked_sibling(tmp_path / "out", ".kept"),
+    ):
         pass
     assert WorkStore.shared(planted).folder is None
 
@@ -85,9 +81,8 @@ def test_a_store_that_becomes_a_link_is_neither_read_nor_written_nor_emptied(tmp
     before = sorted((tmp_path / "moved").iterdir())
     for act in (
         lambda: store.keep("work", 2, np.arange(3)),
-        store.clear,
         lambda: store.keep_only(()),
-        lambda: store.keep_latest(count=0),
+        lambda: store.keep_latest(size_bytes=0),
     ):
         with pytest.raises(ResultError, match="somebody else"):
             act()

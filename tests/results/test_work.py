@@ -21,6 +21,7 @@ from bayesbl.identification.identify import Identification
 from bayesbl.measurement.amplitude_route import Fit
 from bayesbl.measurement.curves import SweepRow
 from bayesbl.measurement.direct_route import DirectMatch
+from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.work import WorkStore, address, decoder, encoded
 from bayesbl.runs.study import Case
 
@@ -139,14 +140,6 @@ def test_pickled_arrays_are_not_read(tmp_path, capsys):
     assert not capsys.readouterr().out
 
 
-def test_fresh_work_replaces_what_is_kept(tmp_path):
-    store(tmp_path / "kept").keep("work", 1, WORK)
-    other = Work(2.0, None, (), {})
-    fresh = store(tmp_path / "kept", fresh=True)
-    assert fresh.get("work", 1, lambda: other, Work) == other
-    assert store(tmp_path / "kept").recall("work", 1, Work) == other
-
-
 def test_the_oldest_work_goes_first_where_there_is_too_much(tmp_path):
     store = WorkStore(tmp_path)
     for number in range(4):
@@ -160,14 +153,12 @@ def test_the_oldest_work_goes_first_where_there_is_too_much(tmp_path):
 
 
 def test_two_runs_into_one_folder_do_not_mix(tmp_path):
-    with WorkStore.beside(tmp_path / "out") as kept:
-        kept.keep("work", 1, WORK)
-        with pytest.raises(ResultError, match="is writing"), WorkStore.beside(tmp_path / "out"):
-            pass
-    with WorkStore.beside(tmp_path / "out") as kept:
-        assert kept.holds_work
-        assert kept.recall("work", 2, Work) is None, "another problem"
-        kept.clear()
+    with (
+        locked_sibling(tmp_path / "out", ".running"),
+        pytest.raises(ResultError, match="is writing"),
+        locked_sibling(tmp_path / "out", ".running"),
+    ):
+        pass
     assert list(tmp_path.iterdir()) == []
 
 
@@ -178,9 +169,8 @@ def test_file_system_without_locks_can_be_written_to(
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", refuse)
-    with WorkStore.beside(tmp_path / "out") as work:
-        assert work.folder is not None
-        assert work.folder.is_dir()
+    with locked_sibling(tmp_path / "out", ".running") as folder:
+        assert folder.is_dir()
 
 
 SIMPLE = (int, float, str, bool, type(None), date, Path, np.ndarray, np.random.SeedSequence)

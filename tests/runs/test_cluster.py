@@ -245,7 +245,7 @@ def test_a_bug_in_a_case_names_it_and_what_is_finished_goes_on_over_processes(
 
 def finished(folder: Path) -> int:
     """Cases that the study ``kept`` has stored."""
-    return len(list((folder / ".kept.unfinished").iterdir()))
+    return len(list((folder / ".finished").iterdir()))
 
 
 def test_a_worker_with_other_code_or_files_is_refused_before_anything_runs(

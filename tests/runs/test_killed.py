@@ -104,16 +104,15 @@ def numbers(config: Path) -> dict[str, bytes]:
     }
 
 
-def unfinished(config: Path) -> Path:
-    return config.parent / ".out.unfinished"
+def running(config: Path) -> Path:
+    """The folder whose lock a run holds; one that is killed leaves it."""
+    return config.parent / ".out.running"
 
 
 def entries(config: Path) -> list[Path]:
     """Finished work of the run, the rows of sweeps included."""
-    folders = (unfinished(config), config.parent / ".curves")
-    return [
-        file for folder in folders if folder.is_dir() for file in folder.iterdir() if file.is_file()
-    ]
+    folder = config.parent / ".finished"
+    return [file for file in folder.iterdir() if file.is_file()] if folder.is_dir() else []
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -146,7 +145,7 @@ def test_a_run_that_is_killed_ends_with_the_same_numbers(whole, tmp_path):
         assert entries(config)
         finish(config)
     assert numbers(config) == expected
-    assert not unfinished(config).exists()
+    assert not running(config).exists()
     assert not list(config.parent.glob(".out*"))
 
 
@@ -179,7 +178,7 @@ def test_what_was_finished_is_not_done_again(config, monkeypatch):
         return fit(self, recording, *arguments, **options)
 
     monkeypatch.setattr(Estimator, "fit", counted)
-    assert finish(config) == ["What an unfinished run has of the same problem is not done again."]
+    finish(config)
     assert searched == ["after"]
 
 
@@ -193,14 +192,11 @@ def test_any_number_of_workers_gives_the_same_numbers_and_resumes_those_of_one(
 
 
 @pytest.mark.parametrize("whole", ["compare"], indirect=True)
-def test_damaged_work_is_made_again_and_force_makes_all_again(config, whole):
+def test_damaged_work_is_made_again(config, whole):
     [entry] = entries(config)
     entry.write_bytes(entry.read_bytes()[:1000])
     finish(config)
     assert numbers(config) == whole[1]
-    interrupted(config, out=config.parent / "forced")
-    assert finish(config, force=True, out=config.parent / "forced") == []
-    assert not list(config.parent.glob(".forced*"))
 
 
 @pytest.mark.parametrize("whole", ["compare"], indirect=True)
@@ -209,7 +205,7 @@ def test_a_changed_problem_takes_nothing_of_the_unfinished_run(config, whole):
     assert numbers(config) != whole[1]
     finish(config, seed=5, out=config.parent / "again")
     for name in ("out", "again"):
-        assert not (config.parent / f".{name}.unfinished").exists()
+        assert not (config.parent / f".{name}.running").exists()
 
 
 def test_a_fit_that_is_kept_comes_back_whole():
@@ -234,7 +230,7 @@ def test_a_figure_that_cannot_be_drawn_costs_no_result(tmp_path):
         run(load_run(config), Options(draw))
     assert f"bayesbl figures {config.parent / 'out'}" in failure.value.__notes__[0]
     assert numbers(config)
-    assert not unfinished(config).exists()
+    assert not running(config).exists()
 
 
 def test_a_run_that_cannot_end_leaves_nothing(tmp_path):
@@ -248,11 +244,8 @@ def test_a_run_that_cannot_end_leaves_nothing(tmp_path):
 
 
 def test_what_a_kill_after_the_result_leaves_is_cleared_away(config):
-    kept = {file.name: file.read_bytes() for file in unfinished(config).iterdir()}
     finish(config)
-    unfinished(config).mkdir()
-    for name, content in kept.items():
-        (unfinished(config) / name).write_bytes(content)
+    running(config).mkdir(0o700)
     with pytest.raises(ResultError, match="finished result"):
         finish(config)
-    assert not unfinished(config).exists()
+    assert not running(config).exists()
