@@ -88,7 +88,6 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
     if len(tied) > 1:
         raise RecordingError(
             "These columns were not sampled together.",
-            file=table.file,
             where=", ".join(f'"{name}"' for name in used),
             found=_listed(tuple(name for name in names if name in tied)) + " as their times",
             expected="columns of one joint, topic or group",
@@ -100,7 +99,6 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
     if len(channels) == 1:
         raise RecordingError(
             "No column but time has a known name.",
-            file=table.file,
             where="header",
             found=_listed(names),
             expected=f"at least one of {', '.join(CHANNELS)}; {or_another_name(table.file)}",
@@ -221,7 +219,6 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
         raise RecordingError(
             "A column is mapped to a channel that does not exist."
             + did_you_mean(channel, (TIME, *CHANNELS)),
-            file=table.file,
             where=f"[columns] {channel}",
             found=f'"{channel}"',
             expected=f"one of {', '.join((TIME, *CHANNELS))}, or a torque's name ending in _nm",
@@ -236,7 +233,6 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
         raise RecordingError(
             f"{'[columns]' if spec.unit else 'The file'} states a unit that is not known for this "
             "channel.",
-            file=table.file,
             where=f'column "{spec.name}"',
             found=f'"{shortened(stated.unknown)}"',
             expected=choice_of_units(channel) + "; state the right one under [columns]",
@@ -254,7 +250,6 @@ def _missing_column(table: ArrayTable, wanted: str) -> RecordingError:
     names = table.columns
     return RecordingError(
         f'The column "{wanted}" is missing.{did_you_mean(wanted, names)}',
-        file=table.file,
         where="header",
         found=_listed(names),
         expected=f'a column "{wanted}", {or_another_name(table.file)}',

@@ -320,7 +320,6 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         if increasing is None:
             raise RecordingError(
                 "No column looks like time.",
-                file=table.file,
                 where="header",
                 found=", ".join(f'"{name}"' for name in table.columns),
                 expected=f'a column "{TIME}", or another name for it under [columns]',
@@ -407,7 +406,6 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     if joint is not None and chosen not in joints:
         raise RecordingError(
             "There is no such joint.",
-            file=table.file,
             where="--joint",
             found=shortened(joint),
             expected=known or "a joint with a column like joint_2/velocity",
@@ -415,7 +413,6 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     if joint is None and len(joints) > 1:
         raise RecordingError(
             "The file holds several joints.",
-            file=table.file,
             found=known,
             expected=f"one of them, e.g. --joint {shlex.quote(first)}",
         )
@@ -886,7 +883,6 @@ def _series(column: _Named) -> FloatArray:
             stamps_and_values(column.table, column.name)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
-            file=column.table.file,
             where=f'column "{column.name}"',
             found=f"{count} finite numbers in {column.values.size} samples",
             expected="a finite number in every sample",

@@ -15,7 +15,6 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,17 +129,17 @@ def at_shared_times(
     return np.flatnonzero(rows), values
 
 
-def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
+def without_lost(time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
     """Samples with a value in every column; arguments as of :func:`bridge`."""
     whole = ~np.isnan(values).any(axis=1)
     lost = int(np.sum(~whole))
     if whole.sum() < 2:
-        return bridge(file, time_s, values, place)  # which refuses it
+        return bridge(time_s, values, place)  # which refuses it
     notes = (f"{lost} of {whole.size} samples lack a value and are left out.",) if lost else ()
     return Bridged(time_s[whole], values[whole], np.zeros(whole.size - lost, dtype=bool), notes)
 
 
-def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
+def bridge(time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
     """Bridge short runs of lost samples by straight lines.
 
     Lost samples at the ends are cut off, up to half of all, because a sensor may wake up late.
@@ -153,7 +152,6 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     if kept.size < 2:
         raise RecordingError(
             "No two samples have a number in every column.",
-            file=file,
             found=f"{kept.size} of {whole.size} samples without a missing value",
             expected="columns that were recorded at the same times",
         )
@@ -162,7 +160,6 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     if cut > MOST_CUT * whole.size:
         raise RecordingError(
             "Most of the recording has no numbers, at its ends.",
-            file=file,
             found=f"{whole.size - cut} of {whole.size} samples between the first and the last "
             "that have a number in every column",
             expected=f"at least {100.0 * (1.0 - MOST_CUT):g} %; rename a column that is not needed",
@@ -195,7 +192,7 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
         if missing.any()
         else f"after {place(int(row[rows.start - 1]), None)}"
     )
-    _refuse_too_much(file, lost, float(lengths[longest]), where)
+    _refuse_too_much(lost, float(lengths[longest]), where)
     full = np.full((lost.size, values.shape[1]), np.nan)
     full[at] = values
     for column in full.T:
@@ -209,12 +206,11 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     return Bridged(full_time, full, lost, (*notes, note))
 
 
-def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) -> None:
+def _refuse_too_much(lost: BoolArray, longest_s: float, where: str) -> None:
     share = lost.mean()
     if longest_s > LONGEST_LOSS_S:
         raise RecordingError(
             "Samples are missing for too long.",
-            file=file,
             where=where,
             found=f"nothing for {longest_s:.4g} s",
             expected=f"at most {LONGEST_LOSS_S:g} s in a row; use the part before or after",
@@ -222,7 +218,6 @@ def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) 
     if share > MOST_LOST:
         raise RecordingError(
             "Too many samples are missing.",
-            file=file,
             where=f"longest {where}",
             found=f"{lost.sum()} of {lost.size} samples, {100.0 * share:.3g} %",
             expected=f"at most {100.0 * MOST_LOST:g} %; rename a column that is not needed",

@@ -436,8 +436,8 @@ import numpy as np
 from bayesbl.recording.array_table import ArrayTable
 
 
-def read(file, data):
-    return ArrayTable(str(file), dict(np.load(io.BytesIO(data)).items()))
+def read(data):
+    return ArrayTable(dict(np.load(io.BytesIO(data)).items()))
 """
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -29,7 +28,7 @@ _NUMERIC = frozenset(
 )
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """Numeric vectors, columns of matrices and fields of structures.
 
     Raises RecordingError if there is no vector, or an HDF5 file refers to values outside of it.
@@ -37,7 +36,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
     units: dict[str, str] = {}
     if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
-        variables = _hdf5_variables(file, data, units)
+        variables = _hdf5_variables(data, units)
     elif data.startswith(b"PK"):
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             variables = dict(archive)
@@ -51,11 +50,10 @@ def read(file: Path, data: bytes) -> ArrayTable:
     if not arrays:
         raise RecordingError(
             "The file holds no vector of numbers.",
-            file=file,
             found=", ".join(f'"{name}"' for name in variables) or "nothing",
             expected="a vector for each channel; save the columns of tables and timetables as such",
         )
-    return ArrayTable(str(file), arrays, {name: u for name, u in units.items() if name in arrays})
+    return ArrayTable(arrays, {name: u for name, u in units.items() if name in arrays})
 
 
 def _columns(
@@ -86,8 +84,8 @@ def _columns(
                 yield f"{prefix}{name}(:,{column + 1})", value[:, column]
 
 
-def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str, Any]:
-    require_whole(data, partial(RecordingError, file=file))
+def _hdf5_variables(data: bytes, units: dict[str, str]) -> dict[str, Any]:
+    require_whole(data, partial(RecordingError))
 
     def variables(group: Any, depth: int, prefix: str = "") -> dict[str, Any]:
         by_name: dict[str, Any] = {}
@@ -115,7 +113,7 @@ def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str,
         return variables(stored, 0)
 
 
-def read_netcdf(file: Path, data: bytes) -> ArrayTable:
+def read_netcdf(data: bytes) -> ArrayTable:
     """One-dimensional variables of the root group, with units and decoded calendar times.
 
     Raises RecordingError if the file refers to values outside of it, or is a result of ours.
@@ -124,12 +122,11 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     import xarray as xr
 
     if SIGNATURE in data[:2056]:
-        require_whole(data, partial(RecordingError, file=file))
+        require_whole(data, partial(RecordingError))
     stored = netCDF4.Dataset("recording", memory=data)
     if RESULT_MARK in stored.ncattrs():
         raise RecordingError(
             "This is a result of bayesbl, not a recording.",
-            file=file,
             expected="a file of measured channels; `bayesbl inspect` prints a result",
         )
     store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
@@ -141,4 +138,4 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
             for name, variable in chosen.items()
             if "units" in variable.attrs
         }
-    return ArrayTable(str(file), arrays, units)
+    return ArrayTable(arrays, units)

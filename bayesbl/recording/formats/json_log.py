@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ _LONGEST_LIST = 64
 _DEEPEST = 6
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """The longest table in the file. RecordingError if it is no JSON, or has no numbers."""
 
     text = data.decode("utf-8-sig")
@@ -42,7 +41,6 @@ def read(file: Path, data: bytes) -> ArrayTable:
     if longest < 2:
         raise RecordingError(
             "The file holds no series of numbers.",
-            file=file,
             found=f"{len(columns)} lists" if columns else "no list",
             expected="a list for each channel, or a list of records",
         )
@@ -51,7 +49,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
         for name, values in columns.items()
         if len(values) == longest
     }
-    return ArrayTable(str(file), arrays)
+    return ArrayTable(arrays)
 
 
 def _named(content: dict[str, Any]) -> dict[str, Any]:

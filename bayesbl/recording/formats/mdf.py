@@ -7,7 +7,6 @@ here. A channel with another conversion is withheld with the name of that conver
 from __future__ import annotations
 
 import io
-from pathlib import Path
 from typing import Any
 
 import asammdf
@@ -26,11 +25,11 @@ _NAMES_3 = {
 """Nonlinear conversions by their number in MDF 4 and MDF 3."""
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """Every one-dimensional channel, in physical units if its conversion is linear."""
     with asammdf.MDF(io.BytesIO(data)) as stored:
         groups = [_group(stored, number) for number in range(len(stored.groups))]
-        return table_of_groups(file, groups, one_origin=True)
+        return table_of_groups(groups, one_origin=True)
 
 
 def _scale(conversion: Any) -> tuple[float, float, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import nptdms
@@ -15,7 +14,7 @@ from bayesbl.recording.array_table import ArrayTable, Group, table_of_groups
 _UNITS = ("unit_string", "NI_UnitDescription")
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """Every channel; ``GROUP/NAME`` if two groups have the same name."""
     stored = nptdms.TdmsFile.read(io.BytesIO(data))
     channels = [channel for group in stored.groups() for channel in group.channels()]
@@ -23,7 +22,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
     dated = all(isinstance(start, np.datetime64) for start in starts)
     first = min(starts) if dated and starts else None
     groups = [part for group in stored.groups() for part in _groups(group, first)]
-    return table_of_groups(file, groups, one_origin=first is not None)
+    return table_of_groups(groups, one_origin=first is not None)
 
 
 def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
