@@ -28,9 +28,10 @@ _NUMBER_FIRST = re.compile(r"[x×*]?\s*(\d+)(?![\d/]*min)([^\s_A-Za-z]*)")
 _BY_TIME = re.compile(r"\S+/(?:s|sec|min)|(?:s|sec|min)\^?-1")
 _QUESTIONS = frozenset(
     "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
-    "digits pu erpm percent pct permille cycles kmh kph mph mps mmps ips".split()
+    "digits step steps pu erpm percent pct permille cycles kmh kph mph mps mmps ips cdeg ddeg "
+    "ozin inoz lbin inlb lbft ftlb kgcm kgfcm gcm".split()
 )
-"""Words for units whose size only the user knows."""
+"""Words for units that are none here, or whose size only the user knows."""
 
 _OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m n kn kg kgf lbf units".split())  # noqa: SIM905
 """In brackets, also units of other quantities, or of unknown size."""

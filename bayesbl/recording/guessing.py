@@ -86,7 +86,7 @@ in a message or for axes."""
 _AXIS = re.compile(r"(?<![^\W_])(?:[aj]\d|ax[ie]s|achse|actual_qd?|qd?_act)", re.IGNORECASE)
 """Names of an axis or its joint, logged behind the gearbox: ``A1``, ``actual_qd_0``."""
 
-_NUMBER = re.compile(r"\d+")
+_TOKEN = re.compile(r"\d+|[^\W\d_]+")
 _STEMS = frozenset(
     word
     for words in (*_NAMES_OF.values(), _REFERENCE, _LOAD, _MOTOR, "ist act actual value wert")
@@ -94,6 +94,12 @@ _STEMS = frozenset(
     if len(word) > 2
 )
 """Words that compounds are made of."""
+
+_NO_JOINT = _STEMS.union(
+    *(words.split() for words in _NAMES_OF.values()),
+    f"{_SIDES} {_FILTERED} {_ELECTRICAL} {_BESIDE} min max rms peak raw est estimated".split(),
+)
+"""Words that distinguish sides of one joint, or values of one channel."""
 
 NO_UNIT = "no unit found: check it"  # reason for a unit that nothing in the file supports
 BY_ROS = "ROS logs in SI units (REP 103)"  # reason for the unit of a column named by a topic's path
@@ -138,6 +144,8 @@ _SHORTEST_S, _LONGEST_S = 0.5, 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SWITCHED = (MOTOR_SPEED, MOTOR_POSITION, MOTOR_CURRENT, MOTOR_TORQUE, LOAD_POSITION, _LOAD_TORQUE)
 """Measured channels, which are never yes or no: ``torque_enabled`` is no torque."""
+
+_TURNING, _DRIVEN = (MOTOR_SPEED, MOTOR_POSITION), (MOTOR_CURRENT, MOTOR_TORQUE)
 
 _SIDES_ALIKE = 2.5  # largest ratio of the torques of both directions of ramps
 _STANDSTILL_RPM = 1.0
@@ -388,7 +396,7 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     bare = [stated_unit(table, name).bare for name in table.columns]
     groups = [name.rpartition("/")[0] for name in bare]
     if not any(groups):
-        groups = _numbers_of_joints(table.columns)
+        groups = _names_of_joints(table)
     motors = {_without(group, _SIDES) for group in groups if _words(group) & {*_MOTOR.split()}}
     sides = [
         _SIDES if _without(group, _SIDES) in motors else f"{_REFERENCE} {_MOTOR} load"
@@ -432,20 +440,33 @@ def _without(group: str, sides: str) -> str:
     return " ".join(part for part in parts if part)
 
 
-def _numbers_of_joints(names: Sequence[str]) -> list[str]:
-    """The number by which each name differs from similar ones; empty if they are too few."""
-    parts = [
-        {
-            (name[: digits.start()], name[digits.end() :]): digits[0]
-            for digits in _NUMBER.finditer(name)
-        }
-        for name in names
+def _names_of_joints(table: ArrayTable) -> list[str]:
+    """The number or word by which each name differs from similar ones; empty if they are too few.
+
+    Words, and numbers of two names, are joints if a current or torque has one of them too: of
+    "speed X", "speed Y" and "current Y", speed X is that of another joint.
+    """
+    tokens = [_TOKEN.findall(" ".join(_split(name))) for name in table.columns]
+    channels = [_channel(_named(table, name)) for name in table.columns]
+    places = [{(*t[:i], "", *t[i + 1 :]): word for i, word in enumerate(t)} for t in tokens]
+    times = Counter(place for each in places for place in each)
+    fewest = [
+        _FEWEST_JOINTS - bool(_TOPIC.match(name) or "[" in name or _AXIS.search(name))
+        for name in table.columns
     ]
-    times = Counter(part for each in parts for part in each)
-    fewest = [_FEWEST_JOINTS - bool(_TOPIC.match(n) or "[" in n or _AXIS.search(n)) for n in names]
+    own = [
+        next((word for place, word in each.items() if word.isdigit() and times[place] >= few), "")
+        for few, each in zip(fewest, places, strict=True)
+    ]
+    turning = [p for p, c in zip(places, channels, strict=True) if c in _TURNING]
+    times = Counter(place for each in turning for place in each)
+    words = {w for each in turning for place, w in each.items() if times[place] > 1}
+    words = {word for word in words if word.lower() not in _NO_JOINT}
+    driven = [t for t, c in zip(tokens, channels, strict=True) if c in _DRIVEN]
+    joints = {*own} - {""} or (words if any(words.intersection(t) for t in driven) else set())
     return [
-        next((number for part, number in each.items() if times[part] >= few), "")
-        for few, each in zip(fewest, parts, strict=True)
+        of_name or next((word for word in t if word in joints and c in _SWITCHED), "")
+        for of_name, t, c in zip(own, tokens, channels, strict=True)
     ]
 
 

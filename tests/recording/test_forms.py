@@ -1998,3 +1998,36 @@ def test_a_can_log_without_times_is_refused_for_that(tmp_path):
 
 
 CAN_COLUMNS = {"motor_speed_rpm": "MotorSpeed", "motor_current_a": "MotorCurrent"}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "joints"),
+    [
+        ("{what} {joint} [{unit}]", ("X", "Y")),
+        ("{joint} {what} ({unit})", ("left", "right")),
+        ("drive {joint}.{what} [{unit}]", ("A", "B")),
+        ("{what}_{joint} [{unit}]", ("1", "2")),
+    ],
+)
+def test_a_current_of_another_joint_is_never_taken(
+    pattern: str, joints: tuple[str, str], tmp_path: Path
+) -> None:
+    """Two speeds, and the current of the second joint alone."""
+    first, second = joints
+    named = [("speed", first, "rpm"), ("speed", second, "rpm"), ("current", second, "A")]
+    header = [pattern.format(what=what, joint=j, unit=u) for what, j, u in named]
+    rows = [f"{i / 1000},{n:.6g},{-n:.6g},{0.001 * n:.6g}" for i, n in enumerate(SPEED)]
+    content = "\n".join(["time_s," + ",".join(header), *rows])
+    with pytest.raises(RecordingError, match=f"several joints. Found: {first}, {second}"):
+        guess_of(tmp_path, content)
+    assert set(guess_of(tmp_path, content, first)) == {"time_s", "motor_speed_rpm"}
+    assert guess_of(tmp_path, content, second)["motor_current_a"].name == header[2]
+
+
+@pytest.mark.parametrize("name", ["torque_ozin", "Torque_lbft", "torque_kgcm"])
+def test_a_torque_in_a_unit_that_is_none_here_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{i / 1000},{n:.6g},{0.01 * n:.6g}" for i, n in enumerate(SPEED)]
+    path.write_text("\n".join([f"time_s,motor_speed_rpm,{name}", *rows]))
+    with pytest.raises(RecordingError, match="not known for this channel"):
+        read_recording(path, columns={"motor_torque_nm": ColumnSpec(name)})
