@@ -40,6 +40,10 @@ _WITH_UNIT = re.compile(r"([+\-−]?\d[^\sA-Za-z]*(?:[eE][+-]?\d+)?)\s?([^\d\s.,
 """A number with its unit, as exports write it: ``0.001 sec``, ``1500.2 rpm``."""
 
 
+SCALES = r"scal|skal|fa[ck]tor|offset|gain|multiplier"
+"""In names of what may have been applied to the values or not: a question to the user."""
+
+
 def number_in(cell: str, mark: str) -> float | None:
     """The number in a cell, NaN for a missing value, ``None`` for text."""
     text = cell.replace("−", "-")

@@ -29,11 +29,13 @@ _BY_TIME = re.compile(r"\S+/(?:s|sec|min)|(?:s|sec|min)\^?-1")
 _QUESTIONS = frozenset(
     "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
     "digits step steps pu erpm percent pct permille cycles kmh kph mph mps mmps ips cdeg ddeg "
-    "ozin inoz lbin inlb lbft ftlb kgcm kgfcm gcm".split()
+    "cps ozin inoz lbin inlb lbft ftlb kgcm kgfcm gcm".split()
 )
 """Words for units that are none here, or whose size only the user knows."""
 
-_OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m n kn kg kgf lbf units".split())  # noqa: SIM905
+_OTHER_UNITS = _QUESTIONS | frozenset(
+    "v mv kv ka apk u r gon mm cm m ft in oz lb n kn kg kgf lbf units".split()  # noqa: SIM905
+)
 """In brackets, also units of other quantities, or of unknown size."""
 
 _LENGTHS = frozenset("m mm cm km in inch ft".split())  # noqa: SIM905
@@ -179,9 +181,10 @@ def _bracketed(name: str) -> StatedUnit | None:
         text = brackets[1].strip()
         words = re.findall(r"[^\W\d_]+", re.sub("0x[0-9a-f]+", "", text.lower()))
         meant = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
-        meant |= text.lower() in _OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
+        meant |= _plain(text) in _OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
+        meant |= len(words) > 1 and _OTHER_UNITS.issuperset(words)  # lbf·ft
         meant |= any(len(word) > 1 and is_unit(spelled(word)) for word in words)
-        if meant and (words or text in ("%", "‰", "°")):
+        if meant and (words or re.search("[%‰°]", text)):
             return StatedUnit(name[: brackets.start()] + name[brackets.end() :], None, text)
     return None
 
@@ -206,13 +209,19 @@ def _ending(name: str) -> StatedUnit:
             bare = re.sub(r"[\s_/,:;|.-]+(?:in[\s_]*)?$", "", name[:at])
             # Of "x/s" the x may be a unit that is none here, of "x_s" only s may be a unit.
             return StatedUnit(bare, unit, ending=f"/{text}" if name[:at].endswith("/") else text)
-    last = re.split(r"[\W_]+", name)[-1].lower()
+    last_two = re.split(r"[\W_]+", name)[-2:]
     if by_time := _BY_TIME.fullmatch(re.split(r"[\s_,:]", name)[-1]):
         return StatedUnit(name, None, by_time[0])
     words = {word for word in re.split(r"[\W_\d]+", name.lower()) if word}
     if words & COUNTED and words <= _COUNTERS_WORDS:
         return StatedUnit(name, None, "a count of samples")
-    return StatedUnit(name, None, last if last in _QUESTIONS else None)
+    endings = (_plain(" ".join(last_two)), last_two[-1].lower())  # oz-in, counts
+    return StatedUnit(name, None, next((e for e in endings if e in _QUESTIONS), None))
+
+
+def _plain(text: str) -> str:
+    """Small letters alone: ``p.u.`` and ``oz-in`` as ``pu`` and ``ozin``."""
+    return re.sub(r"[\W_]", "", text.lower())
 
 
 def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:

@@ -38,6 +38,7 @@ from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import (
     LONGEST_TEXT,
     MISSING,
+    SCALES,
     AnyArray,
     ArrayTable,
     decimal_mark,
@@ -64,7 +65,6 @@ text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
-_SCALES = r"scal|skal|fa[ck]tor|offset|gain|multiplier"
 _STEP = re.compile(
     r"\W*(?:(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate)|abtast\w*"
     r"|delta.?x|[xt].?inc|x?.?increment|d[tx]"
@@ -236,7 +236,7 @@ def layout_of(
         return Layout(separator, names, mark, stated, begin=begin, step_s=step_s)
     last, names, units = heading
     units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells, width)
-    scales = _of_key(_SCALES, above_cells, width)
+    scales = _of_key(SCALES, above_cells, width)
     scales = tuple(cell if cell not in ("0", "1") else "" for cell in scales)
     if any(scales):  # which may have been applied or not
         both = zip_longest(units, scales[: len(names)], fillvalue="")

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from struct import pack
 
+import h5py
 import numpy as np
 import pytest
 
@@ -2024,10 +2025,43 @@ def test_a_current_of_another_joint_is_never_taken(
     assert guess_of(tmp_path, content, second)["motor_current_a"].name == header[2]
 
 
-@pytest.mark.parametrize("name", ["torque_ozin", "Torque_lbft", "torque_kgcm"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "torque_ozin",
+        "Torque_lbft",
+        "torque_kgcm",
+        "torque oz-in",
+        "T (lbf·ft)",
+        "torque [0.1%]",
+        "torque (p.u.)",
+    ],
+)
 def test_a_torque_in_a_unit_that_is_none_here_is_refused(name: str, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     rows = [f"{i / 1000},{n:.6g},{0.01 * n:.6g}" for i, n in enumerate(SPEED)]
     path.write_text("\n".join([f"time_s,motor_speed_rpm,{name}", *rows]))
     with pytest.raises(RecordingError, match="not known for this channel"):
         read_recording(path, columns={"motor_torque_nm": ColumnSpec(name)})
+
+
+def test_newton_millimetres_are_a_unit(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{i / 1000},{n:.6g},{n:.6g}" for i, n in enumerate(SPEED)]
+    path.write_text("\n".join(["time_s,motor_speed_rpm,torque (N mm)", *rows]))
+    read = read_recording(path, columns={"motor_torque_nm": ColumnSpec("torque (N mm)")})
+    np.testing.assert_allclose(read.channels["motor_torque_nm"], 1e-3 * SPEED, rtol=1e-5)
+
+
+def test_a_scale_in_an_attribute_is_a_question(tmp_path: Path) -> None:
+    """Of HDF5, whose readers do not apply it; NetCDF's do."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["time_s"] = np.arange(SPEED.size) / 1000
+        file["motor_speed_rpm"] = 10.0 * SPEED
+        file["motor_speed_rpm"].attrs.update(units="rpm", scale_factor=0.1)
+    with pytest.raises(RecordingError, match=r'Found: "rpm \(scale_factor 0.1\)"'):
+        read_recording(path)
+    with h5py.File(path, "a") as file:
+        file["motor_speed_rpm"].attrs.update(scale_factor=1.0, add_offset=0.0)
+    assert read_recording(path).motor_speed_rpm[3] == 10.0 * SPEED[3]

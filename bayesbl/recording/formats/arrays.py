@@ -8,6 +8,7 @@ out. A signal stored by Simulink's scope has the name of its label.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.array_table import AnyArray, ArrayTable
+from bayesbl.recording.array_table import SCALES, AnyArray, ArrayTable, is_bare_number
 from bayesbl.recording.formats import RESULT_MARK
 from bayesbl.recording.hdf5 import SIGNATURE, SIGNATURES, require_whole
 
@@ -53,7 +54,7 @@ def read(data: bytes) -> ArrayTable:
             found=", ".join(f'"{name}"' for name in variables) or "nothing",
             expected="a vector for each channel; save the columns of tables and timetables as such",
         )
-    return ArrayTable(arrays, {name: u for name, u in units.items() if name in arrays})
+    return ArrayTable(arrays, {name: u for name, u in units.items() if u and name in arrays})
 
 
 def _columns(
@@ -105,12 +106,20 @@ def _hdf5_variables(data: bytes, units: dict[str, str]) -> dict[str, Any]:
             if kind in (None, *_NUMERIC) and are_numbers and not empty:
                 # MATLAB stores by columns, others by rows.
                 by_name[name] = np.asarray(item[()]) if kind is None else np.asarray(item[()]).T
-                for key in {"unit", "units"} & {*item.attrs}:
-                    units[prefix + name] = str(np.asarray(item.attrs[key]).astype("U"))
+                units[prefix + name] = _unit_of(item.attrs)
         return by_name
 
     with h5py.File(io.BytesIO(data), "r") as stored:
         return variables(stored, 0)
+
+
+def _unit_of(attributes: Mapping[str, Any]) -> str:
+    """The unit that attributes state. A scale makes it a question, as it may have been applied."""
+    names = [n for n in attributes if re.fullmatch(f"(?i)units?|.*(?:{SCALES}).*", n)]
+    text = {name.lower(): str(np.asarray(attributes[name]).astype("U")) for name in names}
+    unit = text.pop("unit", text.pop("units", ""))
+    scales = [f"{n} {v}" for n, v in text.items() if is_bare_number(v) and float(v) not in (0, 1)]
+    return f"{unit} ({', '.join(scales)})".strip() if scales else unit
 
 
 def read_netcdf(data: bytes) -> ArrayTable:
