@@ -36,6 +36,7 @@ _GROUPED = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[{other}'’\u00a0\u202f ]\d{{3}})+(?:[{mark}]\d*)?")
     for mark, other in ((".", ","), (",", "."))
 }
+_ONE_GROUP = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}[{mark}]\d{{3}}") for mark in ".,"}
 _WITH_UNIT = re.compile(r"([+\-−]?\d[^\sA-Za-z]*(?:[eE][+-]?\d+)?)\s?([^\d\s.,:+\-/].*)")
 """A number with its unit, as exports write it: ``0.001 sec``, ``1500.2 rpm``."""
 
@@ -94,14 +95,29 @@ def decimal_mark(cells: Sequence[str]) -> str:
         return "."
     fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
     if fits["."] == fits[","]:
-        example = next(cell for cell in cells if "," in cell)
-        raise RecordingError(
-            "A comma may be a decimal comma here, or part thousands.",
-            found=repr(shortened(example)),
-            expected=f"{example.replace(',', '.')} or {example.replace(',', '')}: numbers without "
-            "marks between thousands",
-        )
+        raise _may_be_decimal(next(cell for cell in cells if "," in cell), ",")
     return "," if fits[","] > fits["."] else "."
+
+
+def require_one_mark(cells: Sequence[str], mark: str) -> None:
+    """Refuse a column whose cells all have one group of three digits behind the other mark.
+
+    They may be decimals of another program, as time is beside numbers that a person's region sets.
+    """
+    other = "," if mark == "." else "."
+    numbers = [number for cell in cells if is_bare_number(number := parted(cell)[0])]
+    if len(numbers) > 2 and all(_ONE_GROUP[other].fullmatch(number) for number in numbers):
+        raise _may_be_decimal(numbers[0], other)
+
+
+def _may_be_decimal(example: str, mark: str) -> RecordingError:
+    what = {",": "comma may be a decimal comma", ".": "point may be a decimal point"}[mark]
+    return RecordingError(
+        f"A {what} here, or part thousands.",
+        found=repr(shortened(example)),
+        expected=f"{example.replace(mark, '.')} or {example.replace(mark, '')}: numbers without "
+        "marks between thousands",
+    )
 
 
 _STAMP = re.compile(

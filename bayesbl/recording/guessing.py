@@ -59,7 +59,8 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 _TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
 
 _REFERENCE = (
-    "ref reference set setpoint cmd command target desired demand nominal soll sp goal "
+    "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
+    "vorgabe consigne "
     "action"  # of a policy, to the joint
 )
 _LOAD = "load link joint output out arm l wheel pendulum secondary external abtrieb"
@@ -67,6 +68,8 @@ _MOTOR = "motor mot m antrieb"
 _BESIDE = (
     "error err deviation difference diff lag residual abweichung fehler temperature temp "
     "supply bus battery dc freq frequency term "
+    "limit limits lim max maximum min minimum peak rated nenn grenze grenzwert threshold "
+    "feedforward ff vorsteuerung "
     "ina"  # a monitor of the supply is called by its chip: INA219
 )
 """Words that mark another quantity beside a channel of that name."""
@@ -74,7 +77,11 @@ _BESIDE = (
 _ELECTRICAL = "electrical electric elec el elektrisch elektrische"
 """Electrical speeds and angles are those of the motor times its pole pairs."""
 
-_FILTERED = "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt"
+_FILTERED = (
+    "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt "
+    "estimated estimate est observer model simulated virtual geschätzt"
+)
+_NO_TORQUE = "id d iu iv iw u v w alpha beta phase"  # currents of windings, or along the flux
 _CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"  # names of the groups of one joint's columns
 _LOAD_TORQUE = "load torque"  # no channel: for ramps, the torque at the output replaces the motor's
@@ -97,7 +104,7 @@ _STEMS = frozenset(
 
 _NO_JOINT = _STEMS.union(
     *(words.split() for words in _NAMES_OF.values()),
-    f"{_SIDES} {_FILTERED} {_ELECTRICAL} {_BESIDE} min max rms peak raw est estimated".split(),
+    f"{_SIDES} {_FILTERED} {_ELECTRICAL} {_BESIDE} rms raw".split(),
 )
 """Words that distinguish sides of one joint, or values of one channel."""
 
@@ -358,7 +365,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
     elif not ramps:
         guesses = _of_motor(guesses, chosen, held)
-    columns = tuple(guesses)
+    columns = tuple(_with_rivals(guesses, named))
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -682,7 +689,9 @@ def _channel(column: _Named) -> str | None:
     kind = kinds[0]
     if kind != TIME and column.is_called(_BESIDE):
         return None
-    if column.is_called(_REFERENCE):
+    if kind == MOTOR_CURRENT and column.is_called(_NO_TORQUE):
+        return None
+    if column.is_called(_REFERENCE) or re.search(r"\w\s?\*(?!\w)", column.stated.bare):  # n*
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
     if column.is_called(_LOAD) and not column.is_called(_MOTOR):
         return {MOTOR_POSITION: LOAD_POSITION, MOTOR_TORQUE: _LOAD_TORQUE, TIME: TIME}.get(kind)
@@ -694,30 +703,47 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
 
     Filtered columns come last, as do single letters (``i``, ``n``), which may count samples.
     """
-    chosen: dict[str, _Named] = {}
-    exact = (TIME, *CHANNELS)
+    candidates = _candidates(named)
+    return {channel: columns[0] for channel, columns in candidates.items()}
 
-    def rank(column: _Named) -> tuple[bool, ...]:
-        counted, of_motor = bool(column.words & COUNTED), column.is_called(_MOTOR)
-        is_letter = max(map(len, column.words), default=0) == 1
-        return (
-            column.name not in exact,
-            counted,
-            column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
-            not of_motor,
-            is_letter,
-        )
 
-    for column in sorted(named, key=rank):
+def _candidates(named: Sequence[_Named]) -> dict[str, list[_Named]]:
+    """All columns that may be a channel, the likeliest first."""
+    candidates: dict[str, list[_Named]] = {}
+    for column in sorted(named, key=_rank):
         channel = _channel(column)
         if channel is None:
             continue
-        if channel != TIME and rank(column)[-1] and np.all(np.diff(column.values) == 1.0):
+        if channel != TIME and _rank(column)[-1] and np.all(np.diff(column.values) == 1.0):
             continue  # it counts the samples: 0, 1, 2, …
-        if channel in _SWITCHED and column.name not in exact and column.is_flag:
+        if channel in _SWITCHED and column.name not in (TIME, *CHANNELS) and column.is_flag:
             continue
-        chosen.setdefault(channel, column)
-    return chosen
+        candidates.setdefault(channel, []).append(column)
+    return candidates
+
+
+def _rank(column: _Named) -> tuple[bool, ...]:
+    return (
+        column.name not in (TIME, *CHANNELS),
+        bool(column.words & COUNTED),
+        column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
+        not column.is_called(_MOTOR),
+        max(map(len, column.words), default=0) == 1,
+    )
+
+
+def _with_rivals(columns: Sequence[GuessedColumn], named: Sequence[_Named]) -> list[GuessedColumn]:
+    """A question for a channel of which no name says that another column is less likely."""
+    candidates, taken = _candidates(named), {column.name for column in columns}
+    doubted = [*columns]
+    for column in columns:
+        own = [c for c in candidates.get(column.channel, ()) if c.name == column.name]
+        others = [c for c in candidates.get(column.channel, ()) if c.name not in taken]
+        alike = [c.name for c in others if own and _rank(c) == _rank(own[0])]
+        if alike and column.channel in _SWITCHED:
+            asked = f'no name says why it should not be "{alike[0]}"; {column.reason}'
+            doubted = _changed(doubted, column.channel, reason=asked, doubted=True)
+    return doubted
 
 
 def _stated(

@@ -50,6 +50,7 @@ from bayesbl.recording.array_table import (
     number_in,
     numbered,
     parted,
+    require_one_mark,
 )
 from bayesbl.recording.channels import MOTOR_SPEED, TIME
 from bayesbl.recording.input_bytes import require_memory
@@ -213,6 +214,8 @@ def layout_of(
     rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     numbers = [row[i] for row in rows for i in values if i < len(row)]
     mark = mark or decimal_mark(numbers)
+    for k in values:
+        require_one_mark([row[k] for row in rows if k < len(row)], mark)
     stated = tuple(_unit_of(rows, k) if k in values else "" for k in range(width))
     labels = _of_key(_LABELS, above_cells, width)
     if heading is None and any(labels):

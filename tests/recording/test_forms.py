@@ -2065,3 +2065,61 @@ def test_a_scale_in_an_attribute_is_a_question(tmp_path: Path) -> None:
     with h5py.File(path, "a") as file:
         file["motor_speed_rpm"].attrs.update(scale_factor=1.0, add_offset=0.0)
     assert read_recording(path).motor_speed_rpm[3] == 10.0 * SPEED[3]
+
+
+SPEED_NAME, CURRENT_NAME, TORQUE_NAME = "motor_speed_rpm", "motor_current_a", "motor_torque_nm"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "channel"),
+    [
+        ("n* [rpm]", "n [rpm]", SPEED_NAME),
+        ("VelDem (rpm)", "VelFbk (rpm)", SPEED_NAME),
+        ("speed limit [rpm]", "speed [rpm]", SPEED_NAME),
+        ("estimated speed [rpm]", "speed [rpm]", SPEED_NAME),
+        ("Id [A]", "Iq [A]", CURRENT_NAME),
+        ("i_d [A]", "i_q [A]", CURRENT_NAME),
+        ("current phase U [A]", "current q [A]", CURRENT_NAME),
+        ("peak current [A]", "current [A]", CURRENT_NAME),
+        ("torque feedforward [Nm]", "torque [Nm]", TORQUE_NAME),
+    ],
+)
+def test_another_quantity_of_the_same_unit_is_not_taken(
+    wrong: str, right: str, channel: str, tmp_path: Path
+) -> None:
+    """Whichever comes first."""
+    for names in ((wrong, right), (right, wrong)):
+        rows = [f"{i / 1000},{n:.6g},{0.9 * n:.6g}" for i, n in enumerate(SPEED)]
+        guess = guess_of(tmp_path, "\n".join([f"t [s],{','.join(names)}", *rows]))
+        assert guess[channel].name == right
+
+
+def test_the_current_of_a_winding_is_no_motor_current(tmp_path: Path) -> None:
+    rows = [f"{i / 1000},{n:.6g},{0.9 * n:.6g}" for i, n in enumerate(SPEED)]
+    assert CURRENT_NAME not in guess_of(tmp_path, "\n".join(["t [s],n [rpm],Iu [A]", *rows]))
+
+
+def test_of_two_speeds_that_no_name_distinguishes_one_is_doubted(tmp_path: Path) -> None:
+    rows = [f"{i / 1000},{n:.6g},{0.9 * n:.6g}" for i, n in enumerate(SPEED)]
+    header = "t [s],master speed [rpm],slave speed [rpm]"
+    speed = guess_of(tmp_path, "\n".join([header, *rows]))[SPEED_NAME]
+    assert speed.doubted
+    assert '"slave speed [rpm]"' in speed.reason
+    header = "t [s],motor speed [rpm],output speed [rpm]"
+    assert not guess_of(tmp_path, "\n".join([header, *rows]))[SPEED_NAME].doubted
+
+
+@pytest.mark.parametrize("marks", [",.", ".,"])
+def test_a_time_with_another_decimal_mark_than_the_values_is_a_question(
+    marks: str, tmp_path: Path
+) -> None:
+    """12.345 s beside 1500,25 rpm would be 12345 s, in thousands."""
+    of_time, of_values = marks
+    rows = [
+        f"{12 + i / 1000:.3f}".replace(".", of_time) + ";" + f"{n:.2f}".replace(".", of_values)
+        for i, n in enumerate(SPEED)
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time_s;motor_speed_rpm", *rows]))
+    with pytest.raises(RecordingError, match="may be a decimal .* or part thousands"):
+        read_recording(path)
