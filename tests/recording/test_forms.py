@@ -2121,5 +2121,5 @@ def test_a_time_with_another_decimal_mark_than_the_values_is_a_question(
     ]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time_s;motor_speed_rpm", *rows]))
-    with pytest.raises(RecordingError, match="may be a decimal .* or part thousands"):
+    with pytest.raises(RecordingError, match=r"may be a decimal .* or part thousands"):
         read_recording(path)
