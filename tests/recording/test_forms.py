@@ -2123,3 +2123,44 @@ def test_a_time_with_another_decimal_mark_than_the_values_is_a_question(
     path.write_text("\n".join(["time_s;motor_speed_rpm", *rows]))
     with pytest.raises(RecordingError, match=r"may be a decimal .* or part thousands"):
         read_recording(path)
+
+
+def test_a_workbook_that_shows_per_cent_holds_shares(tmp_path: Path) -> None:
+    import openpyxl
+
+    path = tmp_path / "a.xlsx"
+    book = openpyxl.Workbook()
+    book.active.append(["time_s", "motor_speed_rpm", "torque [%]"])
+    for t, n in PAIRS:
+        book.active.append([float(t), float(n), 0.45])
+        book.active.cell(book.active.max_row, 3).number_format = "0.0%"
+    book.save(path)
+    columns = {"motor_torque_nm": ColumnSpec("torque [%]", "% of 10 N m")}
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.channels["motor_torque_nm"], 4.5)
+
+
+def test_only_a_clock_is_the_time_of_an_mdf_group(tmp_path: Path) -> None:
+    """Not the angle of a measurement that is synchronous to a shaft."""
+    import asammdf
+
+    path = tmp_path / "a.mf4"
+    with asammdf.MDF(version="4.10") as file:
+        file.append(asammdf.Signal(SPEED, TIME, name="n", unit="rpm", master_metadata=("phi", 2)))
+        file.save(path)
+    assert "time_s" not in read_table(path).columns
+
+
+def test_the_unit_of_a_tdms_axis_is_not_always_seconds(tmp_path: Path) -> None:
+    import nptdms
+
+    path = tmp_path / "a.tdms"
+    step = {"wf_increment": 1.0, "wf_xunit_string": "ms"}
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment([nptdms.ChannelObject("log", NAMES[1], SPEED, properties=step)])
+    assert read_recording(path).sampling_period_s == pytest.approx(1e-3)
+    with nptdms.TdmsWriter(path) as file:
+        step["wf_xunit_string"] = "Hz"
+        file.write_segment([nptdms.ChannelObject("log", NAMES[1], SPEED, properties=step)])
+    with pytest.raises(RecordingError, match=r'not known for this channel.*Found: "Hz"'):
+        read_recording(path)

@@ -69,7 +69,15 @@ def _group(sheet: Any, repairs: Counter[str]) -> Group:
     cells = (cell for row in rows[layout.begin :] for cell in row if isinstance(cell, str))
     written_as_text = sum((number := number_in(c, mark)) == number is not None for c in cells)
     repairs.update({"number written as text": written_as_text}, **table.repairs)
-    return Group(sheet.title, table.arrays, units=table.units)
+    # A cell that shows 45 % holds 0.45.
+    first = next(sheet.iter_rows(layout.begin + 1, layout.begin + 1), ())
+    shares = {n for n, cell in zip(table.columns, first, strict=False) if _is_share(cell)}
+    arrays = {n: 100.0 * v if n in shares else v for n, v in table.arrays.items()}
+    return Group(sheet.title, arrays, units={**dict.fromkeys(shares, "%"), **table.units})
+
+
+def _is_share(cell: Any) -> bool:
+    return "%" in str(getattr(cell, "number_format", "")) and cell.data_type == "n"
 
 
 def _text(cell: object, mark: str) -> str:

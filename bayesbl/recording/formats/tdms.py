@@ -10,6 +10,7 @@ import nptdms
 import numpy as np
 
 from bayesbl.recording.array_table import ArrayTable, Group, table_of_groups
+from bayesbl.recording.channels import TIME
 
 _UNITS = ("unit_string", "NI_UnitDescription")
 
@@ -55,8 +56,11 @@ def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
         for key in _UNITS
         if key in channel.properties
     }
+    along = {n: str(c.properties.get("wf_xunit_string", "")) for n, c in channels.items()}
     for clock in [*kinds, None]:
         held = {name: columns[name] for name in columns if clocks.get(name) == clock}
         if held:
             time = None if clock is None else clock[0] + clock[2] + clock[3] * np.arange(clock[4])
-            yield Group(str(group.name), held, time, {n: units[n] for n in held if n in units})
+            stated = {name: units.get(name, "") for name in held}
+            stated[TIME] = next((along[name] for name in held if name in along), "")
+            yield Group(str(group.name), held, time, stated)
