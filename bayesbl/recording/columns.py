@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +20,14 @@ from bayesbl.recording.channels import (
     or_another_name,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
+from bayesbl.units import (
+    accepted_units,
+    choice_of_units,
+    conversion_factor,
+    is_accepted,
+    is_unit,
+    spelled,
+)
 
 _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 _BOUNDARY = re.compile(r"^|(?<=[\s_/,:;|.-])|(?<=[a-z]{2})(?=[A-Z])")
@@ -248,12 +256,27 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
             expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
     if spec.unit:
+        _require_agreement(stated_unit(table, spec.name).of(channel), channel, spec)
         return Column(spec.name, channel, spec.unit)
     column = Column(spec.name, channel, stated.unit)
     if column.factor == 1.0 or table.units.get(spec.name, "").strip():
         return column
     note = f'The unit of column "{spec.name}" is taken from its name: {stated.unit}.'
     return replace(column, note=note)
+
+
+def _require_agreement(of_file: StatedUnit, channel: str, spec: ColumnSpec) -> None:
+    """Refuse a plain unit beside another one in the file, of a later export perhaps."""
+    if of_file.ending or of_file.unit is None or spec.unit not in accepted_units(channel):
+        return
+    sizes = [conversion_factor(channel, unit) for unit in (of_file.unit, spec.unit)]
+    if not math.isclose(*sizes):
+        raise RecordingError(
+            "[columns] and the file state different units.",
+            where=f'column "{spec.name}"',
+            found=f"{spec.unit} under [columns], {of_file.unit} in the file",
+            expected=f'unit = "{of_file.unit}", or unit = "1 {spec.unit}" if the file is wrong',
+        )
 
 
 def _missing_column(table: ArrayTable, wanted: str) -> RecordingError:

@@ -53,7 +53,7 @@ POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
 REFERENCES = (REFERENCE_SPEED, REFERENCE_POSITION)
 MINIMUM_SAMPLES = 16  # fewer samples are no recording for any task
 LATEST_START_S = 1e6  # a time that begins later (seconds since 1970) counts from its first stamp
-
+FASTEST_RPM = 2e4  # no motor of a joint is faster
 
 NO_MEASUREMENT = 1e15  # larger numbers, in any unit, diverged or mark missing values
 
@@ -125,7 +125,8 @@ def _recording(
         if column.channel in POSITIONS:
             values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
         elif column.channel not in REFERENCES:  # which may jump over half of all numbers
-            values[:, i] = signed(values[:, i], column.factor, repairs, called)
+            largest = FASTEST_RPM if column.channel == MOTOR_SPEED else math.inf
+            values[:, i] = signed(values[:, i], column.factor, repairs, called, largest)
         if column.channel not in REFERENCES:
             strays[i] = without_strays(values[:, i], repairs, called)
 

@@ -455,11 +455,14 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     return whole
 
 
-def signed(values: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:
+def signed(
+    values: FloatArray, unit: float, repairs: Counter[str], name: str, largest: float = math.inf
+) -> FloatArray:
     """Restore the signs of whole numbers, shape (n,), that were written as unsigned words.
 
     A bus servo writes −300 as 33068 (sign in the highest of 16 bits) or as 65236 (complement).
-    Numbers are then near 0 and near half or all of the word, with none between.
+    Numbers are then near 0 and near half or all of the word, with none between; or all near all of
+    it, if nothing else is so large, as no number of 32 bits and no channel above ``largest``.
     """
     there = np.isfinite(values)
     written = values[there] / unit
@@ -468,10 +471,13 @@ def signed(values: FloatArray, unit: float, repairs: Counter[str], name: str) ->
         return values
     for word in _WORDS:
         quarters = np.unique(counts // (word / 4.0)).tolist()
-        if quarters in ([0.0, 2.0], [0.0, 3.0]):
+        only_negative = quarters == [3.0] and (
+            word == _WORDS[-1] or abs(unit) * counts.min() > largest
+        )
+        if quarters in ([0.0, 2.0], [0.0, 3.0]) or only_negative:
             high = counts >= word / 2.0
             signs = word / 2.0 - counts[high] if 2.0 in quarters else counts[high] - word
-            if -signs.max() > counts[~high].max():
+            if not only_negative and -signs.max() > counts[~high].max():
                 break  # large beside all others: a speed beside a standstill
             counts[high] = signs
             repairs[f"sign of the {name} in an unsigned word"] += int(high.sum())

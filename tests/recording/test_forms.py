@@ -2164,3 +2164,31 @@ def test_the_unit_of_a_tdms_axis_is_not_always_seconds(tmp_path: Path) -> None:
         file.write_segment([nptdms.ChannelObject("log", NAMES[1], SPEED, properties=step)])
     with pytest.raises(RecordingError, match=r'not known for this channel.*Found: "Hz"'):
         read_recording(path)
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_a_recording_in_reverse_alone_may_be_of_unsigned_words(bits: int, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    whole = np.round(SPEED).astype(int)
+    rows = [f"{i / 1000},{2**bits - n}" for i, n in enumerate(whole)]
+    path.write_text("\n".join([",".join(NAMES), *rows]))
+    read = read_recording(path)
+    np.testing.assert_array_equal(read.motor_speed_rpm, -whole)
+    assert "sign of the motor speed" in read.notes[0]
+    # Counts may be as many, of a speed that is not so large.
+    counts = {"motor_speed_rpm": ColumnSpec(NAMES[1], "rev/s/4096")}
+    read = read_recording(path, columns=counts)
+    assert (float(read.motor_speed_rpm.mean()) > 0.0) == (bits == 16)
+
+
+def test_a_unit_of_columns_is_not_put_over_another_one_in_the_file(tmp_path: Path) -> None:
+    """As of an export whose settings changed since the configuration was written."""
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{t},{n}" for t, n in PAIRS], "Time,Speed\ns,rad/s"))
+    columns = {"time_s": ColumnSpec("Time", "s"), "motor_speed_rpm": ColumnSpec("Speed", "rpm")}
+    with pytest.raises(RecordingError, match=r"different units.*rpm under .* rad/s in the file"):
+        read_recording(path, columns=columns)
+    columns["motor_speed_rpm"] = ColumnSpec("Speed", "1 rpm")
+    np.testing.assert_array_equal(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+    columns["motor_speed_rpm"] = ColumnSpec("Speed", "120 rad/s")
+    assert read_recording(path, columns=columns).motor_speed_rpm[0] > 100.0 * SPEED[0]
