@@ -12,6 +12,7 @@ from struct import pack
 import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording import text_table
@@ -2192,3 +2193,20 @@ def test_a_unit_of_columns_is_not_put_over_another_one_in_the_file(tmp_path: Pat
     np.testing.assert_array_equal(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
     columns["motor_speed_rpm"] = ColumnSpec("Speed", "120 rad/s")
     assert read_recording(path, columns=columns).motor_speed_rpm[0] > 100.0 * SPEED[0]
+
+
+def test_a_structure_with_name_data_and_unit_is_a_column(tmp_path: Path) -> None:
+    """As dSPACE stores it, and as a JSON file may."""
+    signals = [
+        {"Name": "t", "Data": TIME, "Unit": "s"},
+        {"Name": "omega", "Data": SPEED / RPM_PER_RAD_PER_S, "Unit": "rad/s"},
+    ]
+    path = tmp_path / "a.mat"
+    savemat(path, {"log": {"X": signals[0], "Y": signals}})
+    columns = {"time_s": ColumnSpec("X.t"), "motor_speed_rpm": ColumnSpec("Y(2).omega")}
+    np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+    path = tmp_path / "a.json"
+    omega = {"unit": "rad/s", "values": (SPEED / RPM_PER_RAD_PER_S).tolist()}
+    path.write_text(json.dumps({"t": TIME.tolist(), "omega": omega}))
+    columns = {"time_s": ColumnSpec("t"), "motor_speed_rpm": ColumnSpec("omega/values")}
+    np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, SPEED)

@@ -2,7 +2,8 @@
 
 Vectors of either orientation become columns, named as MATLAB names them: ``rec.speed`` for the
 field of a structure, ``data(:,2)`` for a column of a matrix. The name of an only structure is left
-out. A signal stored by Simulink's scope has the name of its label.
+out. A signal stored by Simulink's scope has the name of its label, one stored by dSPACE that of its
+name, and its unit.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def read(data: bytes) -> ArrayTable:
     if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
         units = {name.partition(".")[2]: unit for name, unit in units.items()}
         variables = only
-    arrays = dict(_columns(variables))
+    arrays = dict(_columns(variables, units))
     if not arrays:
         raise RecordingError(
             "The file holds no vector of numbers.",
@@ -58,22 +59,32 @@ def read(data: bytes) -> ArrayTable:
 
 
 def _columns(
-    variables: Mapping[str, Any], prefix: str = "", depth: int = 0
+    variables: Mapping[str, Any], units: dict[str, str], prefix: str = "", depth: int = 0
 ) -> Iterator[tuple[str, AnyArray]]:
     for name, value in variables.items():
         if isinstance(value, dict):
-            if "values" in value and isinstance(label := value.get("label"), str):
-                yield from _columns({label: value["values"]}, f"{prefix}{name}.")
+            parts = {key.lower(): part for key, part in value.items()}
+            data, label = (
+                next((parts[key] for key in keys if key in parts), None)
+                for keys in (("values", "data"), ("label", "name"))
+            )
+            path = f"{prefix}{name}."
+            if isinstance(data, np.ndarray) and isinstance(label, str) and label:
+                if isinstance(unit := parts.get("unit", parts.get("units")), str):
+                    units[path + label] = unit
+                yield from _columns({label: data}, units, path)
             elif depth < _DEEPEST:
-                yield from _columns(value, f"{prefix}{name}.", depth + 1)
+                yield from _columns(value, units, path, depth + 1)
         elif isinstance(value, list):  # of structures
             places = enumerate(value[:_MOST_COLUMNS], start=1)
             structures = {f"{name}({i})": each for i, each in places if isinstance(each, dict)}
-            yield from _columns(structures, prefix, depth)
+            yield from _columns(structures, units, prefix, depth)
         elif not isinstance(value, np.ndarray) or (value.dtype.kind == "V" and value.size < 2):
             continue  # a single value, or an object of a class
         elif value.dtype.names is not None:
-            yield from _columns({key: value[key] for key in value.dtype.names}, prefix, depth)
+            yield from _columns(
+                {key: value[key] for key in value.dtype.names}, units, prefix, depth
+            )
         elif value.dtype.kind == "O":
             if all(isinstance(cell, str) or np.size(cell) == 0 for cell in value.flat):
                 # A cell array of text: time stamps, perhaps.
