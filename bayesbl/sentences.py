@@ -55,7 +55,8 @@ class _Phrases(Formatter):
     ``{x:abs .2g}`` a size, ``{x:±.2g}`` one of either sign.
 
     ``{named:?yes|no}`` chooses by whether there is a value, ``{x:>0.5 yes|no}`` by its size; either
-    text may have fields. Items of a list are separated by commas. What is not given is empty.
+    text may have fields. Items of a list are separated by commas, of ``{names:or}`` by or. What is
+    not given is empty.
     """
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
@@ -71,7 +72,9 @@ class _Phrases(Formatter):
             limit, yes = yes.split(" ", 1)
             return yes if value > float(limit) else no
         if isinstance(value, list):
-            return ", ".join(self.format_field(item, form) for item in value)
+            either = form == "or"
+            items = (self.format_field(item, "" if either else form) for item in value)
+            return (" or " if either else ", ").join(items)
         if value is None:
             return ""
         if form.startswith("±"):
@@ -246,15 +249,9 @@ _DISAGREEMENT = (
     "that repeats every rotation} has {ratio:.3g} times the power expected from noise "
     "(disagreement in {channels}). {times:?The bench lacks something that may move δ, so the "
     "interval is {times:.2g} times as wide|The bench file lacks an effect or has wrong values}; "
-    "{could_be:?{causes} would explain most of it; |}{is_motion:?`bayesbl identify` with "
+    "{could_be:?{could_be:or} would explain most of it; |}{is_motion:?`bayesbl identify` with "
     "`--effects catalogue` looks|`bayesbl diagnose` looks} for what is missing."
 )
-
-
-def repeats_beyond_noise(could_be: Sequence[str] = (), **values: Any) -> str:
-    """Simulation and recording disagree; ``could_be``: what explains most of it."""
-    causes = {"could_be": list(could_be), "causes": " or ".join(could_be)}
-    return _Phrases().vformat(_DISAGREEMENT, (), values | causes)
 
 
 SENTENCES: Mapping[str, str | Callable[..., str]] = {
@@ -323,8 +320,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "recording_contradicts_bench": (
         "The recording contradicts the bench, and the gap curve comes from that bench."
     ),
-    "repeats_beyond_noise": repeats_beyond_noise,
-    "allows_for_misfit": repeats_beyond_noise,
+    "repeats_beyond_noise": _DISAGREEMENT,
+    "allows_for_misfit": _DISAGREEMENT,
     "negative_law": (
         "Simulation and recording agree only if a damping, or another law that cannot be negative, "
         "is negative. The bench lacks something that may move δ, so the interval is {times:.2g} "

@@ -257,12 +257,6 @@ def run_command(config: ConfigPath, **given: Any) -> None:
     run_file(config, **given)
 
 
-@_takes("out seed workers scheduler force json")
-def fleet_command(config: ConfigPath, **given: Any) -> None:
-    """Measure new recordings of many joints, and write their tables and pages."""
-    run_file(config, kind="fleet", **given)
-
-
 def check_command(config: ConfigPath) -> None:
     """Check a configuration or a bench file without running it."""
     from bayesbl.runs.kinds import check
@@ -484,10 +478,10 @@ def _ended_by_signals() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _command(kind: str, what: str) -> Callable[..., None]:
+def _command(kind: str, what: str, scheduler: str = "") -> Callable[..., None]:
     """The command that runs configurations of one kind; ``what`` is its help."""
 
-    @_takes("out seed workers force json")
+    @_takes(f"out seed workers {scheduler} force json")
     def command(config: ConfigPath, **given: Any) -> None:
         run_file(config, kind=kind, **given)
 
@@ -497,6 +491,9 @@ def _command(kind: str, what: str) -> Callable[..., None]:
 
 simulate_command = _command("simulate", "Make recordings on a virtual bench.")
 sweep_command = _command("sweep", "Simulate a bench over a range of gaps to make its gap curve.")
+fleet_command = _command(
+    "fleet", "Measure new recordings of many joints, and write their tables and pages.", "scheduler"
+)
 
 
 @_takes(

@@ -44,7 +44,6 @@ from bayesbl.recording.repairs import (
     signed,
     told,
     unwrapped,
-    without_lost,
     without_strays,
 )
 from bayesbl.recording.types import FloatArray, Recording, Source
@@ -143,8 +142,7 @@ def _recording(
         return table.place(int(rows[row]), others[column].name) + strays[column]
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
-        joined = bridge if even else without_lost
-        bridged = joined(time_s, values, place)
+        bridged = bridge(time_s, values, place, even=even)
         series = {column.channel: bridged.values[:, i] for i, column in enumerate(others)}
         new = new_values(series[MOTOR_SPEED]) if even and MOTOR_SPEED in series else None
     kept, slower = new or (slice(None), "")
@@ -187,13 +185,18 @@ def _values(
     names = [column.name for column in others]
     table.samples_of([time_column.name, *names])
     stamps = table.timestamps(time_column.name)
+    kinds = ("numbers", "dates") if stamps is None else ("dates", "numbers")
+    is_other = time_column.unit not in (None, "s", "datetime")
+    if is_other if stamps is not None else time_column.unit == "datetime":
+        raise RecordingError(
+            "Time is not in the unit that was stated for it.",
+            where=f'column "{time_column.name}"',
+            found=kinds[0],
+            expected=f'{kinds[1]}, as unit = "{time_column.unit}" says',
+        )
     if stamps is None:
-        if time_column.unit == "datetime":
-            raise _wrong_time_unit(table, time_column, "numbers", "dates")
         stamps, values = stamps_and_values(table, time_column.name, names)
     else:
-        if time_column.unit not in (None, "s", "datetime"):
-            raise _wrong_time_unit(table, time_column, "dates", "numbers")
         values = table.numbers(names)
     # In place and by column: a long recording is a good part of the memory.
     stamps[~np.isfinite(stamps)] = np.nan
@@ -202,17 +205,6 @@ def _values(
             series *= column.factor
             series[~(np.abs(series) < NO_MEASUREMENT)] = np.nan
     return stamps, values
-
-
-def _wrong_time_unit(
-    table: ArrayTable, column: Column, actual: str, expected: str
-) -> RecordingError:
-    return RecordingError(
-        "Time is not in the unit that was stated for it.",
-        where=f'column "{column.name}"',
-        found=actual,
-        expected=f'{expected}, as unit = "{column.unit}" says',
-    )
 
 
 def _seconds(

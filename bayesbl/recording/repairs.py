@@ -129,18 +129,8 @@ def at_shared_times(
     return np.flatnonzero(rows), values
 
 
-def without_lost(time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
-    """Samples with a value in every column; arguments as of :func:`bridge`."""
-    whole = ~np.isnan(values).any(axis=1)
-    lost = int(np.sum(~whole))
-    if whole.sum() < 2:
-        return bridge(time_s, values, place)  # which refuses it
-    notes = (f"{lost} of {whole.size} samples lack a value and are left out.",) if lost else ()
-    return Bridged(time_s[whole], values[whole], np.zeros(whole.size - lost, dtype=bool), notes)
-
-
-def bridge(time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
-    """Bridge short runs of lost samples by straight lines.
+def bridge(time_s: FloatArray, values: FloatArray, place: Place, *, even: bool = True) -> Bridged:
+    """Bridge short runs of lost samples by straight lines, or leave them out if not ``even``.
 
     Lost samples at the ends are cut off, up to half of all, because a sensor may wake up late.
     ``time_s``, shape (n,), increases strictly; ``values``, shape (n, c), are NaN where missing.
@@ -155,6 +145,10 @@ def bridge(time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
             found=f"{kept.size} of {whole.size} samples without a missing value",
             expected="columns that were recorded at the same times",
         )
+    if not even:
+        told = f"{whole.size - kept.size} of {whole.size} samples lack a value and are left out."
+        none_lost = np.zeros(kept.size, dtype=bool)
+        return Bridged(time_s[whole], values[whole], none_lost, (told,) * (kept.size < whole.size))
     first, last = int(kept[0]), int(kept[-1]) + 1
     cut = whole.size - (last - first)
     if cut > MOST_CUT * whole.size:

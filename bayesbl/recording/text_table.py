@@ -410,17 +410,11 @@ def _of_other_width(index: int, cells: int, expected: int) -> RecordingError:
 
 def _no_table(lines: Sequence[str], is_binary: bool = False) -> NoTable:
     """The error for a text without a table; it quotes nothing, as a name may lead to any file."""
-    if is_binary:
-        actual = "binary data"
-    elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
-        return NoTable(
-            "The file has a header but no sample.",
-            found="a header only",
-            expected=EXPECTED,
-        )
-    else:
-        actual = "no lines with a number in two columns or more"
-    return NoTable("This is not a CSV file.", found=actual, expected=EXPECTED)
+    if len(lines) == 1 and not is_binary and any(mark in lines[0] for mark in _SEPARATORS[:3]):
+        problem, found = "The file has a header but no sample.", "a header only"
+        return NoTable(problem, found=found, expected=EXPECTED)
+    found = "binary data" if is_binary else "no lines with a number in two columns or more"
+    return NoTable("This is not a CSV file.", found=found, expected=EXPECTED)
 
 
 def table_of_text(text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
