@@ -267,7 +267,8 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
 
 def _require_agreement(of_file: StatedUnit, channel: str, spec: ColumnSpec) -> None:
     """Refuse a plain unit beside another one in the file, of a later export perhaps."""
-    if of_file.ending or of_file.unit is None or spec.unit not in accepted_units(channel):
+    plain = accepted_units(channel)  # datetime says how numbers are written, not how large they are
+    if of_file.ending or of_file.unit is None or spec.unit not in plain or spec.unit == "datetime":
         return
     sizes = [conversion_factor(channel, unit) for unit in (of_file.unit, spec.unit)]
     if not math.isclose(*sizes):

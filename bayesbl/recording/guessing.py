@@ -60,9 +60,12 @@ _TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
 
 _REFERENCE = (
     "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
-    "vorgabe consigne "
+    "vorgabe consigne vcmd pcmd tcmd icmd "
     "action"  # of a policy, to the joint
 )
+_SETPOINT = re.compile(r"[^\W\d]\*\s*$|指令|给定")
+"""In names of setpoints: a star at the end (n*), and the Japanese and Chinese words."""
+
 _LOAD = "load link joint output out arm l wheel pendulum secondary external abtrieb"
 _MOTOR = "motor mot m antrieb"
 _BESIDE = (
@@ -81,7 +84,9 @@ _FILTERED = (
     "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt "
     "estimated estimate est observer model simulated virtual geschätzt"
 )
-_NO_TORQUE = "id d iu iv iw u v w alpha beta phase"  # currents of windings, or along the flux
+_OF_WINDING, _BY_SYMBOL = "d u v w alpha beta phase flux feldbildend", "id iu iv iw"
+"""Words of currents of one winding, or along the flux; id may also be the number of a node."""
+
 _CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"  # names of the groups of one joint's columns
 _LOAD_TORQUE = "load torque"  # no channel: for ramps, the torque at the output replaces the motor's
@@ -689,9 +694,11 @@ def _channel(column: _Named) -> str | None:
     kind = kinds[0]
     if kind != TIME and column.is_called(_BESIDE):
         return None
-    if kind == MOTOR_CURRENT and column.is_called(_NO_TORQUE):
+    is_named = column.is_called(_NAMES_OF[MOTOR_CURRENT])
+    no_torque = column.is_called(_OF_WINDING) or (column.is_called(_BY_SYMBOL) and not is_named)
+    if kind == MOTOR_CURRENT and no_torque:
         return None
-    if column.is_called(_REFERENCE) or re.search(r"\w\s?\*(?!\w)", column.stated.bare):  # n*
+    if column.is_called(_REFERENCE) or _SETPOINT.search(column.stated.bare):
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
     if column.is_called(_LOAD) and not column.is_called(_MOTOR):
         return {MOTOR_POSITION: LOAD_POSITION, MOTOR_TORQUE: _LOAD_TORQUE, TIME: TIME}.get(kind)
@@ -727,6 +734,7 @@ def _rank(column: _Named) -> tuple[bool, ...]:
         column.name not in (TIME, *CHANNELS),
         bool(column.words & COUNTED),
         column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
+        column.stated.unknown is not None,
         not column.is_called(_MOTOR),
         max(map(len, column.words), default=0) == 1,
     )

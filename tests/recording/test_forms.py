@@ -2083,6 +2083,10 @@ SPEED_NAME, CURRENT_NAME, TORQUE_NAME = "motor_speed_rpm", "motor_current_a", "m
         ("current phase U [A]", "current q [A]", CURRENT_NAME),
         ("peak current [A]", "current [A]", CURRENT_NAME),
         ("torque feedforward [Nm]", "torque [Nm]", TORQUE_NAME),
+        ("VCMD [1/min]", "TSA [1/min]", SPEED_NAME),
+        ("指令速度 [r/min]", "モータ速度 [r/min]", SPEED_NAME),
+        ("Stromistwert feldbildend [A]", "Stromistwert momentenbildend [A]", CURRENT_NAME),
+        ("Motor current [%]", "Motor current [A]", CURRENT_NAME),
     ],
 )
 def test_another_quantity_of_the_same_unit_is_not_taken(
