@@ -580,7 +580,13 @@ _FORMS = tuple(
     for form in (rf"{_NAME}\s+{_STAMP}", rf"{_STAMP}\s+{_NAME}", rf"(?P<stamp>{_DATE})(?P<name>)")
 )
 _VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
-_KEY = re.compile(r"tag|name|signal|variable|field|joint|axis|achse|motor_?id|node", re.IGNORECASE)
+_KEY = re.compile(
+    r"(?:tag|name|signal|variable|field|joint|axis|achse|motor_?id|node)"
+    r"(?:[\s_.]*(?:id|no|nr|name|number|nummer|index|\d+))?\W*$",
+    re.IGNORECASE,
+)
+"""End of the name of a column that names what a line is of: not axis 1.SetVelo."""
+
 _MOST_NAMES = 64
 TIMES = 13.0  # memory, in sizes of the file, for a log or export whose cells are texts first
 _LONGEST_EVENT = 1000

@@ -2214,3 +2214,12 @@ def test_a_structure_with_name_data_and_unit_is_a_column(tmp_path: Path) -> None
     path.write_text(json.dumps({"t": TIME.tolist(), "omega": omega}))
     columns = {"time_s": ColumnSpec("t"), "motor_speed_rpm": ColumnSpec("omega/values")}
     np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+
+
+def test_a_constant_setpoint_of_an_axis_names_nothing(tmp_path: Path) -> None:
+    """Beside a column called value, it looked like a tag on each line."""
+    header = "Time,Axis 1.NcToPlc.ActVelo,Axis 1.NcToPlc.SetVelo,Drive 1.Torque actual value"
+    rows = [f"{t},{n},1490,{0.01 * n}" for t, n in PAIRS]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([header, *rows]))
+    assert read_table(path).columns == tuple(header.split(","))
