@@ -153,6 +153,8 @@ def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> Stat
     name = column if name is None else name
     scaled = _SCALED.search(name.strip())
     of_name = StatedUnit(name, None, scaled[0]) if scaled else _bracketed(name) or _ending(name)
+    if of_name.unit and (scaled := _SCALED.search(of_name.bare.strip())):  # n x10 [rpm]
+        of_name = replace(of_name, unit=None, unknown=f"{scaled[0]} {of_name.unit}")
     of_file = table.units.get(column, "").strip()
     if not re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
         return of_name

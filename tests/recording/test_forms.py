@@ -2029,6 +2029,7 @@ def test_a_current_of_another_joint_is_never_taken(
 @pytest.mark.parametrize(
     "name",
     [
+        "torque x10 [Nm]",
         "torque_ozin",
         "Torque_lbft",
         "torque_kgcm",
