@@ -256,7 +256,7 @@ _DISAGREEMENT = (
 
 SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Which route answers.
-    "only_route": "It is the only route that was asked for.",
+    "only_route": "it is the only route that was asked for",
     "witnessed": "it is the route that was asked for; the load's encoder gives a second opinion",
     "sharper_and_checked": "it uses the whole recording and passes its checks against the bench",
     "sharper": "it uses the whole recording, and allows for what the bench lacks",
@@ -374,8 +374,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "gains_unseen": f"{UNSEEN_WITHOUT_CURRENT} (no motor current can be compared)",
     "change_unseen": change_unseen,
     "filter_unseen": (
-        "a filter of the speed (these recordings have too little noise above the ringing, were "
-        "repaired, or have different rates)"
+        "a filter of the speed (these recordings have too little noise above the frequency of the "
+        "ringing, were repaired, or have different sampling rates)"
     ),
     "filter_before_noise_unseen": (
         "a filter of the speed that comes before most of the noise, or before a recorder that "
@@ -440,7 +440,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "Ensemble {number} of {ensembles} is stuck: it accepted {share:.1f %} of its proposals (at "
         "least {needed:.0f %} is needed)."
     ),
-    "walker_stuck": "A chain never moved: it is stuck, and its ensemble cannot be trusted.",
+    "walker_stuck": "A walker never moved: it is stuck, and its ensemble cannot be trusted.",
     "chain_short": (
         "The chain is short: {steps} steps for an autocorrelation time of "
         "{autocorrelation_steps:.0f} (more than {needed:.0f} times that is needed); raise "
@@ -556,8 +556,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "if softer}. That part is lost motion."
     ),
     "ramps_skipped": (
-        "The ramps of {skipped_nm:±.3g} N m hardly move the joint, as friction holds it; those of "
-        "±{amplitude_nm:.3g} N m were used."
+        "The ramps of {skipped_nm:±.3g} N m hardly move the joint, because friction holds it; "
+        "those of ±{amplitude_nm:.3g} N m were used."
     ),
     "torque_offset": (
         "The joint moves freely around {high_nm:>{low_nm} {low_nm:.2g} to |}{high_nm:.2g} N m "
@@ -592,10 +592,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "wind-up or noise can cause. δ is below {upper_mrad:.2g} mrad with 95 % probability."
     ),
     "held_by_weight": (
-        "The torque shows that weight, a spring or a hand is above the load's friction more often "
-        "on one side, by {share:.0f %} of the time. It may keep the load on one flank and hide any "
-        "play (probability {probability:.0f %}). Record with the load balanced or the axis "
-        "upright, or move it over the top and back."
+        "The torque shows that weight, a spring or a hand exceeds the load's friction on one side, "
+        "for {share:.0f %} more of the time than on the other. This may keep the load on one flank "
+        "and hide any play (probability {probability:.0f %}). Record with the load balanced or the "
+        "axis upright, or move the load over the top and back."
     ),
     "change_of_bounds": (
         "No recording shows play, so the change is unknown. With 95 % probability, the gap grew by "
@@ -603,7 +603,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "weight_unknown": (
         "The load's weight may keep it on one flank (probability {probability:.0f %}). That would "
-        "hide any play, and what lags would be wind-up. Record a torque or current that shows "
+        "hide any play, and the lag would be wind-up. Record a torque or current that shows "
         "friction. If the axis is upright or the load is balanced, state upright = true under "
         "[joint] (--upright)."
     ),
@@ -652,12 +652,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "load_coasts": (
         "The load does not rest on a flank from one reversal to the next: it coasts, bounces or "
-        "winds up by {misfit_mrad:.2g} mrad besides the {lost_mrad:.2g} mrad between the two "
-        "directions, so the interval of δ is wide. Move more slowly, or with friction or "
-        "a brake at the load."
+        "winds up by {misfit_mrad:.2g} mrad (the two directions are {lost_mrad:.2g} mrad apart), "
+        "so the interval of δ is wide. Move more slowly, or with friction or a brake at the load."
     ),
     "misfit_repeats": lambda times: (
-        "The model error repeats in every cycle, so it is not noise, and the intervals are "
+        "The misfit repeats in every cycle, so it is not noise, and the intervals are "
         f"{math.sqrt(times):.2g} times as wide."
     ),
 }

@@ -56,14 +56,14 @@ def _portable(value: Any) -> Any:
 
 def _page() -> str:
     parts = [HEAD]
-    seen: set[tuple[str, str]] = set()
+    first: dict[tuple[str, str], str] = {}  # the kind that shows a section first
     rows_of: dict[str, list[str]] = {}
     for kind, what in FILES.items():
         schema = MODELS[kind].model_json_schema()
         parts.append(f'## `kind = "{kind}"`: {what}\n')
         parts.append("| key | value | default |\n|---|---|---|")
         own: dict[str, list[str]] = {}
-        shared = []
+        shared: dict[str, list[str]] = {}
         for name, section in _sections(schema, schema, ""):
             body = _rows(name, section, schema)
             if not body:
@@ -72,17 +72,18 @@ def _page() -> str:
                 head, *rows = body.splitlines()
                 body = "\n".join([head, *(row for row in rows if row not in rows_of[name])])
             rows_of.setdefault(name, body.splitlines())
-            if name and (name, body) in seen:
-                shared.append(f"`{name}`")
+            if name and (name, body) in first:
+                shared.setdefault(first[name, body], []).append(f"`{name}`")
             else:
-                seen.add((name, body))
+                first[name, body] = kind
                 own.setdefault(body, []).append(name)
         for body, names in own.items():
             head = ", ".join(f"`{name}`" for name in names)
             parts.append(f"| **{head}** {body}" if head != "``" else body)
         parts.append("")
         if shared:
-            parts.append(textwrap.fill(f"As above: {', '.join(shared)}.", 100) + "\n")
+            there = (f"as in `{kind}`: {', '.join(names)}" for kind, names in shared.items())
+            parts.append(textwrap.fill(f"A{'; '.join(there)[1:]}.", 100) + "\n")
     return "\n".join(parts)
 
 
@@ -177,6 +178,8 @@ def _default(key: str, value: Schema, section: Schema) -> str:
         return "required"
     if value.get("default") is None:
         return "all cores" if key == "workers" else ""
+    if key == "route" and "bench" in section["properties"]:
+        return '`"auto"` with a bench, else `"amplitude"`'
     return f"`{json.dumps(value['default'])}`"
 
 

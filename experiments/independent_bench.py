@@ -127,14 +127,14 @@ class Plant(NamedTuple):
     channel_time_skew__current_s: float = 0.0
     speed_averaging__time_s: float = 0.0
     belt__compliance_rad_per_nm: float = 0.0
-    belt__damping_time_s: float = 2e-4
+    belt__damping_ratio: float = 0.05
     belt__reducer_share: float = 0.3
     arm__compliance_rad_per_nm: float = 0.0
-    arm__damping_time_s: float = 1e-3
+    arm__damping_ratio: float = 0.05
     arm__inertia_share: float = 0.4
     arm__gravity_share: float = 0.5
     base__compliance_rad_per_nm: float = 0.0
-    base__damping_time_s: float = 1e-3
+    base__damping_ratio: float = 0.05
     base__inertia_kg_m2: float = 60.0
     gap_variation__cosine_1: float = 0.0
     gap_variation__sine_1: float = 0.0
@@ -304,6 +304,12 @@ def _work(step, each, y, p, phase, asked):
 
 
 @_jit
+def _decay(ratio, compliance, inertia):
+    """Damping over stiffness of a spring, 2 ζ/ω, s."""
+    return 2.0 * ratio * math.sqrt(compliance * inertia)
+
+
+@_jit
 def _weight(angle, p):
     """Gravity's torque against a load at an absolute angle."""
     torque = p.gravity_torque_nm * math.sin(angle + p.gravity_angle_rad)
@@ -435,9 +441,11 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
     internal = load
     inertia = p.load_inertia_kg_m2
     if p.arm__compliance_rad_per_nm > 0.0:
-        bent = y[2] - y[ARM] + p.arm__damping_time_s * (y[3] - y[ARM + 1])
-        bent /= p.arm__compliance_rad_per_nm
         behind = p.arm__inertia_share * p.load_inertia_kg_m2
+        swinging = behind * (1.0 - p.arm__inertia_share)
+        decay = _decay(p.arm__damping_ratio, p.arm__compliance_rad_per_nm, swinging)
+        bent = y[2] - y[ARM] + decay * (y[3] - y[ARM + 1])
+        bent /= p.arm__compliance_rad_per_nm
         inertia -= behind
         dy[ARM] = y[ARM + 1]
         dy[ARM + 1] = (bent - p.arm__gravity_share * _weight(y[ARM], p)) / behind
@@ -446,16 +454,19 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         load += _weight(y[2], p)
     dy[0] = y[1]
     if belt:
-        pull = y[0] - y[REDUCER] + p.belt__damping_time_s * (y[1] - y[REDUCER + 1])
-        pull /= p.belt__compliance_rad_per_nm
         behind = p.belt__reducer_share * p.motor_inertia_kg_m2
+        swinging = behind * (1.0 - p.belt__reducer_share)
+        decay = _decay(p.belt__damping_ratio, p.belt__compliance_rad_per_nm, swinging)
+        pull = y[0] - y[REDUCER] + decay * (y[1] - y[REDUCER + 1])
+        pull /= p.belt__compliance_rad_per_nm
         dy[1] = (torque - lost - pull) / (p.motor_inertia_kg_m2 - behind)
         dy[REDUCER] = y[REDUCER + 1]
         dy[REDUCER + 1] = (pull - shaft / n) / behind
     else:
         dy[1] = (torque - shaft / n - lost) / p.motor_inertia_kg_m2
     if p.base__compliance_rad_per_nm > 0.0:
-        held = (base + p.base__damping_time_s * base_speed) / p.base__compliance_rad_per_nm
+        decay = _decay(p.base__damping_ratio, p.base__compliance_rad_per_nm, p.base__inertia_kg_m2)
+        held = (base + decay * base_speed) / p.base__compliance_rad_per_nm
         dy[BASE] = base_speed
         pushed = internal - held - (torque - lost) + shaft / n - shaft
         dy[BASE + 1] = pushed / p.base__inertia_kg_m2

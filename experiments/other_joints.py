@@ -138,7 +138,7 @@ def _belt(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]
     share = rng.uniform(0.15, 0.6)
     return {
         "belt__compliance_rad_per_nm": _spring(joint.value("motor_inertia_kg_m2"), share, hz),
-        "belt__damping_time_s": 2.0 * rng.uniform(0.01, 0.1) / (2.0 * math.pi * hz),
+        "belt__damping_ratio": rng.uniform(0.01, 0.1),
         "belt__reducer_share": share,
     }
 
@@ -147,7 +147,7 @@ def _arm(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]:
     share = rng.uniform(0.1, 0.5)
     return {
         "arm__compliance_rad_per_nm": _spring(joint.value("load_inertia_kg_m2"), share, hz),
-        "arm__damping_time_s": 2.0 * rng.uniform(0.01, 0.1) / (2.0 * math.pi * hz),
+        "arm__damping_ratio": rng.uniform(0.01, 0.1),
         "arm__inertia_share": share,
         "arm__gravity_share": rng.uniform(0.2, 0.9),
     }
@@ -157,7 +157,7 @@ def _base(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]
     inertia = joint.value("load_inertia_kg_m2") * rng.uniform(1.0, 6.0)
     return {
         "base__compliance_rad_per_nm": 1.0 / ((2.0 * math.pi * hz) ** 2 * inertia),
-        "base__damping_time_s": 2.0 * rng.uniform(0.01, 0.1) / (2.0 * math.pi * hz),
+        "base__damping_ratio": rng.uniform(0.01, 0.1),
         "base__inertia_kg_m2": inertia,
     }
 

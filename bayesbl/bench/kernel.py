@@ -106,14 +106,14 @@ class Slot(IntEnum):
     friction_drift__torque_nm = auto()
     friction_drift__rate_nm_per_s = auto()
     belt__compliance_rad_per_nm = auto()
-    belt__damping_time_s = auto()
+    belt__damping_ratio = auto()
     belt__reducer_share = auto()
     arm__compliance_rad_per_nm = auto()
-    arm__damping_time_s = auto()
+    arm__damping_ratio = auto()
     arm__inertia_share = auto()
     arm__gravity_share = auto()
     base__compliance_rad_per_nm = auto()
-    base__damping_time_s = auto()
+    base__damping_ratio = auto()
     base__inertia_kg_m2 = auto()
     gap_variation__cosine_1 = auto()
     gap_variation__sine_1 = auto()
@@ -752,6 +752,28 @@ def rigid_accelerations(torque, losses, load, speed, p, c):  # type: ignore[no-u
 
 
 @_jit
+def belt_rate(p):  # type: ignore[no-untyped-def]
+    """Angular frequency of the belt between the inertias on both sides, both free, rad/s."""
+    share = p[Slot.belt__reducer_share]
+    inertia = p[Slot.motor_inertia_kg_m2] * share * (1.0 - share)
+    return 1.0 / math.sqrt(p[Slot.belt__compliance_rad_per_nm] * inertia)
+
+
+@_jit
+def arm_rate(p):  # type: ignore[no-untyped-def]
+    """Angular frequency of the arm between the inertias on both sides, both free, rad/s."""
+    share = p[Slot.arm__inertia_share]
+    inertia = p[Slot.load_inertia_kg_m2] * share * (1.0 - share)
+    return 1.0 / math.sqrt(p[Slot.arm__compliance_rad_per_nm] * inertia)
+
+
+@_jit
+def base_rate(p):  # type: ignore[no-untyped-def]
+    """Angular frequency of the base against the ground, rad/s."""
+    return 1.0 / math.sqrt(p[Slot.base__compliance_rad_per_nm] * p[Slot.base__inertia_kg_m2])
+
+
+@_jit
 def chain_accelerations(y, driven, shaft, losses, load_angle, p, c, dy):  # type: ignore[no-untyped-def]
     """Fill the rows of belt, arm and base in ``dy``; return accelerations of gear input and load,
     rad/s².
@@ -760,13 +782,15 @@ def chain_accelerations(y, driven, shaft, losses, load_angle, p, c, dy):  # type
         a = θ_l − θ_a,  τ_a = (a + t_a ȧ)/c_a,   J_l − J_a at the gear, J_a behind the spring
         J_f θ̈_f = −(θ_f + t_f θ̇_f)/c_f + τ_s/N − τ_s − K_t i
 
-    Motor and gear react against the housing. ``driven``: the motor's torque minus its losses;
-    ``losses``: those of the load without gravity.
+    Each damping time t is 2 ζ/ω of the spring's resonance ω. Motor and gear react against the
+    housing. ``driven``: the motor's torque minus its losses; ``losses``: those of the load without
+    gravity.
     """
     base, base_speed, base_acceleration = 0.0, 0.0, 0.0
     if p[Slot.base__compliance_rad_per_nm] != 0.0:
         base, base_speed = y[BASE_ANGLE], y[BASE_SPEED]
-        bent = base + p[Slot.base__damping_time_s] * base_speed
+        time = 2.0 * p[Slot.base__damping_ratio] / base_rate(p)
+        bent = base + time * base_speed
         reaction = -bent / p[Slot.base__compliance_rad_per_nm] - driven
         reaction += shaft * (c.per_ratio - 1.0) + losses
         base_acceleration = reaction / p[Slot.base__inertia_kg_m2]
@@ -775,7 +799,8 @@ def chain_accelerations(y, driven, shaft, losses, load_angle, p, c, dy):  # type
     dy[BELT_TWIST] = 0.0
     dy[BELT_SPEED] = 0.0
     if p[Slot.belt__compliance_rad_per_nm] != 0.0:
-        stretch = y[BELT_TWIST] + p[Slot.belt__damping_time_s] * y[BELT_SPEED]
+        time = 2.0 * p[Slot.belt__damping_ratio] / belt_rate(p)
+        stretch = y[BELT_TWIST] + time * y[BELT_SPEED]
         pull = stretch / p[Slot.belt__compliance_rad_per_nm]
         reducer = p[Slot.belt__reducer_share] * c.motor_inertia
         acceleration = (pull - shaft * c.per_ratio) / reducer - base_acceleration
@@ -787,7 +812,8 @@ def chain_accelerations(y, driven, shaft, losses, load_angle, p, c, dy):  # type
     dy[ARM_TWIST] = 0.0
     dy[ARM_SPEED] = 0.0
     if p[Slot.arm__compliance_rad_per_nm] != 0.0:
-        bent = y[ARM_TWIST] + p[Slot.arm__damping_time_s] * y[ARM_SPEED]
+        time = 2.0 * p[Slot.arm__damping_ratio] / arm_rate(p)
+        bent = y[ARM_TWIST] + time * y[ARM_SPEED]
         held = bent / p[Slot.arm__compliance_rad_per_nm]
         arm = p[Slot.arm__inertia_share] * c.load_inertia
         share = p[Slot.arm__gravity_share]
@@ -1240,22 +1266,14 @@ def emit_logged(  # type: ignore[no-untyped-def]
 
 @_jit
 def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-def]
-    """Allowances of belt, arm and base, with ``speed`` that of the motor; return the fastest rate.
-
-    Each spring swings between the inertias on both sides, both free.
-    """
+    """Allowances of belt, arm and base at a motor ``speed``; returns the fastest rate."""
     belt, arm, base = 0.0, 0.0, 0.0
     if p[Slot.belt__compliance_rad_per_nm] > 0.0:
-        share = p[Slot.belt__reducer_share]
-        inertia = c.motor_inertia * share * (1.0 - share)
-        belt = 1.0 / math.sqrt(p[Slot.belt__compliance_rad_per_nm] * inertia)
+        belt = belt_rate(p)
     if p[Slot.arm__compliance_rad_per_nm] > 0.0:
-        share = p[Slot.arm__inertia_share]
-        inertia = c.load_inertia * share * (1.0 - share)
-        arm = 1.0 / math.sqrt(p[Slot.arm__compliance_rad_per_nm] * inertia)
+        arm = arm_rate(p)
     if p[Slot.base__compliance_rad_per_nm] > 0.0:
-        inertia = p[Slot.base__inertia_kg_m2]
-        base = 1.0 / math.sqrt(p[Slot.base__compliance_rad_per_nm] * inertia)
+        base = base_rate(p)
     scale[BELT_TWIST] = max(belt, motor_rate) / speed
     scale[BELT_SPEED] = 1.0 / speed
     scale[ARM_TWIST] = c.ratio * max(arm, motor_rate) / speed

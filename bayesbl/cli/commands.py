@@ -146,10 +146,10 @@ _TYPES: Mapping[str, Any] = {
 _OPTIONS = """
 config | path | FILE | Configuration; options override it.
 out | path | FOLDER | Output folder. [default: the configuration's, else results/CONFIG or
-    results/COMMAND_RECORDING]
+    results/COMMAND_RECORDING; simulate: beside the configuration]
 seed | whole | N | Seed of all random numbers. [default: 1]
 workers | whole | N | Largest number of processes; results do not depend on it. [default: all
-    cores]
+    cores; simulate: 1]
 scheduler | text | ADDRESS | Run a study or a fleet on the Dask cluster of this scheduler, e.g.
     tcp://host:8786.
 force | flag | - | Replace a finished result, or start over.
@@ -162,9 +162,9 @@ route | text | auto|amplitude|direct|torque_ramp|two_encoders | How to measure: 
     (auto), by ramps of torque with the output held, or by encoders of motor and load. [default:
     auto with a bench]
 start_from | path | RESULT | Earlier result of this joint, from whose optimum the search of the
-    ringing starts.
-check_sampler | flag | - | Sample the ringing's posterior again by nested sampling, and report
-    differences.
+    ringing starts (--route amplitude).
+check_sampler | flag | - | Sample the posterior again by nested sampling, and withhold the answer
+    if the two differ (--route amplitude).
 limit | text | LIMIT | Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at
     0.4 m", "1 arcmin lost_motion at 3 %" (of the rated torque).
 limit_rad | number | RAD | Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ
@@ -364,7 +364,8 @@ def compare_command(
         Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
     ],
     later: Annotated[
-        list[Path], typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order.")
+        list[Path],
+        typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order of date."),
     ],
     **given: Any,
 ) -> None:
@@ -435,7 +436,7 @@ def watch_command(
 @_takes("credentials once")
 def collect_command(
     url: Annotated[
-        str, typer.Argument(metavar="URL", help="mqtts://broker/topic; topics below it count too.")
+        str, typer.Argument(metavar="URL", help="mqtts://broker/topic; includes all topics below.")
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of recordings.parquet.")],
     **given: Any,

@@ -295,10 +295,14 @@ class _Spring(Section):
         if whole is not None:
             own = _divided(inertia, EffectValue(value=values[whole]))
         stiffness, damping = self.stiffness_nm_per_rad, self.damping_nm_s_per_rad
-        k, sd = stiffness.value, damping.parameter().sd
-        time = EffectParameterValue(damping.value / k, None if sd is None else sd / k)
+        oscillating = inertia.value
+        if whole is not None:
+            # A share of one or more is refused with the other values out of range.
+            oscillating *= max(1.0 - own.value, 1e-3)
+        critical, sd = 2.0 * math.sqrt(stiffness.value * oscillating), damping.parameter().sd
+        ratio = EffectParameterValue(damping.value / critical, sd and sd / critical)
         compliance = _divided(EffectValue(value=1.0), stiffness)
-        spring = {"compliance_rad_per_nm": compliance, "damping_time_s": time}
+        spring = {"compliance_rad_per_nm": compliance, "damping_ratio": ratio}
         return BenchEffect(name, {**spring, parameter: own})
 
 
@@ -391,8 +395,8 @@ class EffectEntry(Section):
 
     A digital drive has ``sampled_control``, with the period of its speed controller:
     ``parameters = {period_s = {value = 250e-6}}``. Its torque acts ``delay_periods`` after it reads
-    the encoder: 1, or 17 with a further dead time of 4 ms. It takes the speed as the encoder's
-    difference over a period, or with ``instant_share = 1`` as the speed at the tick. If you state
+    the encoder: 1, or 17 with a further dead time of 4 ms. It uses the encoder's difference over a
+    period as speed, or with ``instant_share = 1`` the speed at the sampling instant. If you state
     no delay, the direct route and ``identify`` fit both, starting from 1 and a difference.
     """
 

@@ -126,7 +126,8 @@ MotionSection = Annotated[
 class SimulatedRecording(Section):
     """A recording to simulate: in steady rotation, or in a ``motion``.
 
-    A start angle that is not given is drawn.
+    A ``motion`` is a table with its ``kind``: ``strokes``, ``cycle``, ``sine`` or ``torque_ramp``.
+    A start angle that is not given is drawn. ``truth_file`` names a file for what was simulated.
     """
 
     name: Name
@@ -150,7 +151,7 @@ class SimulatedRecording(Section):
 
 
 class SimulateRun(Section):
-    """``[run]`` of a simulation. Without ``output``, files go beside the configuration."""
+    """Without ``output``, a simulation writes its files beside the configuration."""
 
     seed: int = Field(default=1, ge=0, lt=2**63)
     workers: int = Field(default=1, ge=1, le=1024)
@@ -318,7 +319,8 @@ class Compared(Section):
     Without ``channels``, the method uses all that the recordings have. ``known_torque`` names
     columns (N m at the motor) that are added to the torque that the bench needs. ``cutoff_hz``
     belongs to the zero-phase filter that both sides of the inverse method pass; the default is the
-    frequency at which prediction and measurement lose coherence.
+    frequency at which prediction and measurement lose coherence. ``load_angle_known`` and
+    ``motor_angle_known`` say that the recorded position is absolute.
     """
 
     method: Method = "forward"

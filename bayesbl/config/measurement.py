@@ -243,12 +243,9 @@ WITHOUT_BENCH = ("torque_ramp", "two_encoders")  # routes that need only recordi
 class Estimator(Section):
     """``[estimator]``: how δ is estimated.
 
-    With a bench, the default route is ``auto``: the amplitude and direct routes both run, and the
-    direct one answers if its checks pass. ``gap_rad`` is the range of the direct route's prior:
-    log-uniform, or uniform in ln(δ + 0.01 mrad) if it begins at zero. ``torque_ramp`` uses ramps of
-    the motor's torque with the output held, ``two_encoders`` the positions of motor and load in any
-    motion with reversals; both need neither bench nor curve. If the load's position is recorded,
-    two encoders are a second opinion beside the answer of the other routes.
+    ``auto`` runs the amplitude and direct routes; the direct one answers if its checks pass.
+    ``torque_ramp`` and ``two_encoders`` need neither bench nor curve. ``gap_rad`` is the range of
+    the direct route's prior: log-uniform, or uniform in ln(δ + 0.01 mrad) if it begins at zero.
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"

@@ -338,7 +338,8 @@ DEGREES = (1, 2, 3, 4, 5)
 class DegreeSummary(TypedDict):
     """How well a polynomial of one degree describes the sweep.
 
-    Departures are relative ones of δ from the polynomial alone, at the mean amplitude of each gap.
+    Departures are relative differences between δ and the polynomial alone, at the mean amplitude of
+    each gap.
     ``log_evidence``: restricted log likelihood, with the smooth lack of fit included.
     """
 

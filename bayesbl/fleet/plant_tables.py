@@ -131,10 +131,10 @@ JOINT_COLUMNS = _columns("""
     last_date | string | date of the first or last recording in use
     delta_rad_median/low/high | double | gap at the last date, rad
     probability_limit_now | double | probability that the gap was above its limit at the last date
-    probability_wear | double | probability that it has grown since the first date; without pooling
+    probability_wear | double | probability that the gap has grown since the first date; without
+        pooling
     rate_rad_per_year_median/low/high/sd | double | mean rate over the dates in use, rad/year; uses
-        other
-        joints if pooled is true
+        other joints if pooled is true
     rate_alone_rad_per_year_median/low/high | double | rate from this joint's recordings only,
         rad/year
     pooled | bool | whether rate and date use other joints of its type
@@ -143,11 +143,13 @@ JOINT_COLUMNS = _columns("""
     law | string | likeliest law of wear; uses other joints if pooled is true
     limit_date_median/low/high | string | when the gap reaches the limit; null: not in 1000 years
     limit_date_not_before | string | one-sided bound, at the interval's level
-    probability_limit_before | double | probability that it is reached before [fleet] decide_before
+    probability_limit_before | double | probability that the limit is reached before [fleet]
+        decide_before
     cost_at_limit | double | what reaching the limit costs, from the inventory
     expected_cost | double | cost_at_limit times probability_limit_before, or, without a rate,
         times probability_limit_now, which is no larger; null without a gap
-    alarm | bool | whether it is flagged as over its limit; at most 5 % of the flags are false
+    alarm | bool | whether it is flagged as over its limit; on average at most 5 % of the flags
+        are false
     rank | int64 | 1 reaches its limit first, or costs most if costs are given; null without a date
     reason | string | why there is no rate; null if a rate is given
 """)

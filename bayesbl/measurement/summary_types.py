@@ -11,12 +11,12 @@ from bayesbl.sampling.convergence import Outcome
 
 
 class ReasonSummary(TypedDict):
-    """Why an answer is withheld or limited, or is the answer; programs should read ``code``.
+    """Why an answer is withheld or limited, or why a route answers; programs should read ``code``.
 
     Each number and name in its sentence is a key too. ``recordings``: those that it concerns, if
-    not all. ``also``: further reasons, which ``text`` includes. In the diagnostics,
-    ``withholds`` says whether δ is withheld, ``because`` why another route has no answer. The
-    reason of the answer names its ``route``.
+    not all. ``also``: further reasons, which ``text`` includes. In the diagnostics, ``withholds``
+    says whether δ is withheld, and ``because`` says why another route has no answer. The reason of
+    ``answer`` names the ``route``.
     """
 
     code: str
@@ -111,8 +111,8 @@ class TransmissionErrorSummary(TypedDict):
 
 
 class StatedLimit(TypedDict):
-    """The limit as it was given. ``measured`` is δ converted to its kind and ``unit`` (``arcmin of
-    play``)."""
+    """The limit as it was given. ``measured`` is δ, converted to the kind and ``unit`` of the limit
+    (``arcmin of play``)."""
 
     text: str
     unit: str
@@ -253,9 +253,8 @@ class ForecastFromPrior(TypedDict):
     """How much of a forecast comes from the prior.
 
     ``width_over_prior`` is the width of ln years_to_limit, over its width by the prior alone with
-    the same gap and mean rate. Near 1, the recordings say almost nothing about the date.
-    ``probability_change_ahead`` is the share of forecasts in which wear changes between the last
-    recording and the limit. No recording can show such a change.
+    the same gap and mean rate. ``probability_change_ahead`` is the share of forecasts in which wear
+    changes between the last recording and the limit.
     """
 
     width_over_prior: float

@@ -97,7 +97,7 @@ TRANSMISSION = Group(
         model_rad (point) | rad | this lag by the model
         curve_rad (point) | rad | transmission error
         probability_of_play | 1 | probability that δ is not zero
-        counted | 1 | times that a misfit which repeats every cycle is counted
+        counted | 1 | factor on the variances by a misfit that repeats every cycle
         reversals | 1 | reversals of the motor
         noise_sd_rad | rad | white noise
         drift_sd_rad | rad | standard deviation of the correlated noise

@@ -220,6 +220,8 @@ def candidates(
             continue
         if effect.is_periodic:
             hypotheses += _periodic(bench, effect, recordings, peaks, motor_angle_known)
+        elif effect.resonance is not None:
+            hypotheses += _elastic(bench, effect, effect.resonance, recordings)
         else:
             hypotheses.append(_plain(bench, effect))
     hypotheses += [
@@ -228,25 +230,29 @@ def candidates(
     return hypotheses
 
 
-def _plain(bench: Bench, effect: Effect) -> Candidate:
-    sought = [p for p in parameters_on(bench, effect) if effect.sought_alone in (None, p.name)]
+def _sought(bench: Bench, effect: Effect) -> list[EffectParameter]:
+    return [p for p in parameters_on(bench, effect) if effect.sought_alone in (None, p.name)]
+
+
+def _without_starts(bench: Bench, effect: Effect) -> Candidate:
+    sought = _sought(bench, effect)
     lowest = [p.low if p.sought_from is None else p.sought_from for p in sought]
     unknowns = tuple(
         _unknown(effect, p, low, p.high) for p, low in zip(sought, lowest, strict=True)
     )
-    neutral = np.array([p.neutral for p in sought])
-    candidate = Candidate(
+    return Candidate(
         effect.name,
         "effect",
         unknowns,
-        neutral,
+        np.array([p.neutral for p in sought]),
         effect=_neutral_effect(effect),
         usual=np.array([abs(p.typical) if p.is_amplitude else math.nan for p in sought]),
     )
-    if effect.resonance is not None:
-        part_starts = tuple(_resonances(bench, effect, effect.resonance))
-        bounded = tuple(_ranges_around(effect, unknowns, part_starts))
-        return replace(candidate, unknowns=bounded, starts=part_starts)
+
+
+def _plain(bench: Bench, effect: Effect) -> Candidate:
+    sought, candidate = _sought(bench, effect), _without_starts(bench, effect)
+    neutral = candidate.neutral
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
     if effect.enters in ("load", "shaft"):
@@ -267,44 +273,49 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
     return replace(candidate, starts=starts, scanned=scanned)
 
 
-def _resonances(bench: Bench, effect: Effect, resonance: Resonance) -> Iterator[FloatArray]:
-    """Coordinates of an elastic part at full size, over a grid of frequencies and inertias."""
+def _elastic(
+    bench: Bench, effect: Effect, resonance: Resonance, recordings: Sequence[Observed]
+) -> Iterator[Candidate]:
+    """An elastic part, at full size over a grid of frequencies and inertias.
+
+    Its frequency goes up to half the sampling frequency, at the inertia that makes it lowest. A
+    stiffer part acts like a softer shaft, and makes the simulator's steps tiny. Compliances go to
+    four times the largest of the grid, and the oscillating inertia from a quarter of the smallest.
+    None is left if the grid is beyond what the recordings resolve.
+    """
     load = bench.value("load_inertia_kg_m2")
     shaft_rate = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") / load)
     low, high = resonance.multiples
+    highest = min(math.pi * max(r.sampling_hz for r in recordings), 2.0 * high * shaft_rate)
     count = 1 + round(math.log(high / low) / math.log(RESONANCE_SPACING))
+    rates = shaft_rate * np.geomspace(low, high, count)
+    rates = rates[rates < highest]
+    if not rates.size:
+        return
     (compliance,) = effect.amplitudes
-    for rate in shaft_rate * np.geomspace(low, high, count):
-        for part in resonance.parts:
-            behind = part if resonance.is_share else part * load
-            inertia = (
-                part * (1.0 - part) * bench.value(resonance.inertia)
-                if resonance.is_share
-                else behind
-            )
+    starts, compliances = [], []
+    for part in resonance.parts:
+        behind = part if resonance.is_share else part * load
+        inertia = behind
+        if resonance.is_share:
+            inertia *= (1.0 - part) * bench.value(resonance.inertia)
+        compliances += [1.0 / (rate**2 * inertia) for rate in (highest, rates[0])]
+        for rate in rates:
             values = {p.name: p.neutral for p in effect.parameters}
             values |= {compliance.name: 1.0 / (rate**2 * inertia), resonance.part: behind}
-            yield np.array([values[p.name] for p in effect.parameters])
-
-
-def _ranges_around(
-    effect: Effect, unknowns: Sequence[Unknown], starts: Sequence[FloatArray]
-) -> Iterator[Unknown]:
-    """Ranges around a grid of starts.
-
-    Compliances go from a quarter of the smallest to four times the largest, and the oscillating
-    inertia from a quarter of the smallest. A stiffer part hardly shows, and makes the simulator's
-    steps tiny.
-    """
-    lowest, highest = 0.25 * np.min(starts, axis=0), 4.0 * np.max(starts, axis=0)
-    columns = zip(unknowns, effect.parameters, np.transpose(starts), lowest, highest, strict=True)
-    for unknown, parameter, values, low, high in columns:
-        if parameter.is_amplitude:
-            yield replace(unknown, low=float(low), high=float(high))
-        elif np.ptp(values) > 0.0:
-            yield replace(unknown, low=max(unknown.low, float(low)))
-        else:
-            yield unknown
+            starts.append(np.array([values[p.name] for p in effect.parameters]))
+    candidate = _without_starts(bench, effect)
+    unknowns = [
+        replace(unknown, low=min(compliances), high=4.0 * max(compliances))
+        if parameter.is_amplitude
+        else replace(unknown, low=max(unknown.low, 0.25 * min(start[k] for start in starts)))
+        if parameter.name == resonance.part
+        else unknown
+        for k, (unknown, parameter) in enumerate(
+            zip(candidate.unknowns, effect.parameters, strict=True)
+        )
+    ]
+    yield replace(candidate, unknowns=tuple(unknowns), starts=tuple(starts))
 
 
 def _periodic(

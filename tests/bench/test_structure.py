@@ -8,6 +8,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from bayesbl.bench.bench import BenchEffect, EffectParameterValue
 from bayesbl.bench.kernel import CURRENT, SPEED, STATES, Slot
@@ -19,11 +20,11 @@ from bayesbl.errors import ConfigError
 
 BENCH = reference_bench()
 
-BELT = {"belt__compliance_rad_per_nm": 0.012, "belt__damping_time_s": 3e-4}
+BELT = {"belt__compliance_rad_per_nm": 0.012, "belt__damping_ratio": 0.06}
 BELT |= {"belt__reducer_share": 0.35}
-ARM = {"arm__compliance_rad_per_nm": 3e-5, "arm__damping_time_s": 2e-3}
+ARM = {"arm__compliance_rad_per_nm": 3e-5, "arm__damping_ratio": 0.06}
 ARM |= {"arm__inertia_share": 0.3, "arm__gravity_share": 0.6}
-BASE = {"base__compliance_rad_per_nm": 1.5e-6, "base__damping_time_s": 2e-3}
+BASE = {"base__compliance_rad_per_nm": 1.5e-6, "base__damping_ratio": 0.06}
 BASE |= {"base__inertia_kg_m2": 45.0}
 VARIES = {"gap_variation__cosine_1": 0.25, "gap_variation__sine_1": -0.1}
 VARIES |= {"gap_variation__cosine_2": 0.07, "gap_variation__sine_2": -0.04}
@@ -58,7 +59,7 @@ def test_an_independent_simulator_in_absolute_coordinates_agrees(
 
 @pytest.mark.parametrize(
     ("part", "compliance"),
-    [("belt", 1.0 / 4e4), ("arm", 1.0 / 5e8), ("base", 1.0 / 5e9)],
+    [("belt", 1.0 / 2e4), ("arm", 1.0 / 5e8), ("base", 1.0 / 5e9)],
 )
 def test_a_stiff_part_leaves_the_bench_as_it_was(part: str, compliance: float) -> None:
     plain = BENCH.simulate_many(8e-4, rotations=1.0)[0]
@@ -66,7 +67,8 @@ def test_a_stiff_part_leaves_the_bench_as_it_was(part: str, compliance: float) -
     def apart(times: float) -> float:
         stiff = {f"{part}__compliance_rad_per_nm": times * compliance, **SHAPES[part]}
         moved = BENCH.simulate_many(8e-4, **stiff, rotations=1.0)[0]
-        return float(np.max(np.abs(moved - plain)))
+        # A mean over 50 ms leaves out the ringing of the part itself.
+        return float(np.max(np.abs(uniform_filter1d(moved - plain, 50))))
 
     # To first order a spring does what its compliance does.
     assert apart(1.0) < 0.1
@@ -102,8 +104,8 @@ def test_energy_is_kept_without_control_and_damping() -> None:
         "shaft_damping_nm_s_per_rad",
         "speed_gain_nm_s_per_rad",
         "integral_gain_nm_per_rad",
-        "belt__damping_time_s",
-        "arm__damping_time_s",
+        "belt__damping_ratio",
+        "arm__damping_ratio",
     ):
         p[Slot[name]] = 0.0
     start = np.zeros(STATES)
@@ -172,7 +174,9 @@ def test_tables_of_the_bench_file_are_the_effects(tmp_path: Path) -> None:
     # A tolerance is the half-width of a uniform distribution.
     expected = 0.2 / 80.0 / math.sqrt(3.0)
     assert belt["compliance_rad_per_nm"].sd == pytest.approx(expected)
-    assert belt["damping_time_s"].value == pytest.approx(0.02 / 80.0)
+    # d = 2 ζ √(k J), with both inertias free.
+    critical = 2.0 * math.sqrt(80.0 * 4e-4 * (1.0 - 4e-4 / 1.21e-3))
+    assert belt["damping_ratio"].value == pytest.approx(0.02 / critical)
     assert belt["reducer_share"].value == pytest.approx(4e-4 / 1.21e-3)
     assert effects["arm"].complete()["inertia_share"] == pytest.approx(0.25)
     assert effects["gap_variation"].complete()["sine_2"] == -0.05

@@ -459,7 +459,7 @@ def with_belt(bench: Bench) -> Bench:
     swings = bench.value("motor_inertia_kg_m2") * REDUCER_SHARE * (1.0 - REDUCER_SHARE)
     values = {
         "compliance_rad_per_nm": 1.0 / ((2.0 * math.pi * BELT_HZ) ** 2 * swings),
-        "damping_time_s": 2e-4,
+        "damping_ratio": 0.05,
         "reducer_share": REDUCER_SHARE,
     }
     belt = BenchEffect("belt", {n: EffectParameterValue(v) for n, v in values.items()})
@@ -603,7 +603,7 @@ def test_a_drift_below_what_all_have_leaves_nothing_and_every_column_is_finite()
 
 def test_a_law_at_the_end_of_its_range_has_its_slope_from_within() -> None:
     arm = {"compliance_rad_per_nm": 2e-5, "inertia_share": 0.3}
-    (damping,) = [p for p in EFFECT_BY_NAME["arm"].shapes if p.name == "damping_time_s"]
+    (damping,) = [p for p in EFFECT_BY_NAME["arm"].shapes if p.name == "damping_ratio"]
     sizes = []
     for value in (damping.high, 0.9 * damping.high):
         parameters = {n: EffectParameterValue(v) for n, v in arm.items()}

@@ -11,18 +11,18 @@ def _compliance(meaning: str, high: float, typical: float) -> EffectParameter:
     )
 
 
-def _damping(symbol: str, high: float, typical: float) -> EffectParameter:
+def _damping(symbol: str) -> EffectParameter:
     return shape(
-        "damping_time_s",
-        f"damping over stiffness {symbol}",
-        high=high,
-        typical=typical,
-        neutral=typical,
+        "damping_ratio",
+        f"damping ratio {symbol} of its resonance",
+        high=0.5,
+        typical=0.05,
+        neutral=0.05,
         bounded=True,
     )
 
 
-# b = θ_m − θ_r,   τ_b = (b + t_b ḃ)/c_b
+# b = θ_m − θ_r,   τ_b = (b + t_b ḃ)/c_b,   t_b = 2 ζ_b/ω_b,   1/ω_b² = c_b s (1 − s) J_m
 # (1 − s) J_m dω_m/dt = K_t i − τ_b,   s J_m dω_r/dt = τ_b − τ_s/N
 #
 # θ_r drives the gear, the encoder shows θ_m. J_m is the whole inertia on the fast side, including
@@ -35,7 +35,7 @@ BELT = Effect(
     equation="τ_b = (b + t_b ḃ)/c_b of b = θ_m − θ_r, the share s of J_m behind it",
     parameters=(
         _compliance("stretch over torque at the motor c_b", high=0.1, typical=0.006),
-        _damping("t_b", high=2e-3, typical=2e-4),
+        _damping("ζ_b"),
         shape(
             "reducer_share",
             "share s of the motor's inertia that is behind the belt",
@@ -60,7 +60,7 @@ BELT = Effect(
     in_bench_file="[belt] with stiffness_nm_per_rad and reducer_inertia_kg_m2 says the same.",
 )
 
-# a = θ_l − θ_a,   τ_a = (a + t_a ȧ)/c_a
+# a = θ_l − θ_a,   τ_a = (a + t_a ȧ)/c_a,   t_a = 2 ζ_a/ω_a,   1/ω_a² = c_a s (1 − s) J_l
 # (1 − s) J_l dω_l/dt = τ_s − τ_a − (1 − g) m g l sin θ_l,   s J_l dω_a/dt = τ_a − g m g l sin θ_a
 #
 # J_l and m g l are those of the whole load, of which the shares s and g are behind the spring.
@@ -71,7 +71,7 @@ ARM = Effect(
     equation="τ_a = (a + t_a ȧ)/c_a of a = θ_l − θ_a, the share s of J_l and g of m g l behind it",
     parameters=(
         _compliance("bending over torque c_a", high=2e-4, typical=8e-6),
-        _damping("t_a", high=1e-2, typical=1e-3),
+        _damping("ζ_a"),
         shape(
             "inertia_share",
             "share s of the load's inertia that is behind the spring",
@@ -106,7 +106,7 @@ ARM = Effect(
 
 # The base, against which motor and gear react, moves. All angles of the joint are relative to its
 # housing, which turns by θ_f. Gravity acts at the load's absolute angle, and both inertias are
-# accelerated with the housing.
+# accelerated with the housing. t_f = 2 ζ_f/ω_f,  1/ω_f² = c_f J_f.
 BASE = Effect(
     place=103,
     name="base",
@@ -114,7 +114,7 @@ BASE = Effect(
     equation="J_f d²θ_f/dt² = −(θ_f + t_f dθ_f/dt)/c_f − K_t i + τ_s/N − τ_s",
     parameters=(
         _compliance("turn over torque c_f", high=2e-5, typical=5e-7),
-        _damping("t_f", high=1e-2, typical=1e-3),
+        _damping("ζ_f"),
         shape(
             "inertia_kg_m2",
             "inertia of the base J_f about the joint's axis",

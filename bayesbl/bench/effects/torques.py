@@ -64,7 +64,7 @@ _AT_LOAD: Law = lambda motion, bench, given: (  # noqa: E731
 GRAVITY_PHASE = Effect(
     place=100,
     name="gravity_phase",
-    sentence="Gravity is zero at another load angle than the bench says.",
+    sentence="Gravity's torque is zero at a different load angle than the bench states.",
     equation="J_l dω_l/dt: − m_c cos θ_l",
     parameters=(
         amplitude("torque_nm", "torque at θ_l = 0, m_c", low=-200.0, high=200.0, typical=30.0),
