@@ -612,9 +612,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "more reversals, slow and fast ones, with friction or a brake at the output."
     ),
     "few_reversals": (
-        "The motor reverses {count:>1 only {count} times|{count:>0 only once|never}}, and only "
-        "reversals show play. Record ten or more, slow and fast, to separate play from a skew of "
-        "the channels."
+        "The motor {count:>1 reverses only {count} times|{count:>0 reverses only once|never "
+        "reverses}}, and only reversals show play. Record ten or more, slow and fast, to separate "
+        "play from a skew of the channels."
     ),
     "no_torque": (
         "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks "
