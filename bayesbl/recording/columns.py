@@ -258,7 +258,8 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
             expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
     if spec.unit:
-        _require_agreement(stated_unit(table, spec.name).of(channel), channel, spec)
+        if table.units.get(spec.name, "").strip():
+            _require_agreement(stated_unit(table, spec.name).of(channel), channel, spec)
         return Column(spec.name, channel, spec.unit)
     column = Column(spec.name, channel, stated.unit)
     if column.factor == 1.0 or table.units.get(spec.name, "").strip():
@@ -268,9 +269,12 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
 
 
 def _require_agreement(of_file: StatedUnit, channel: str, spec: ColumnSpec) -> None:
-    """Refuse a plain unit beside another one in the file, of a later export perhaps."""
+    """Refuse a plain unit beside another one that the file states, perhaps of a later export.
+
+    A unit in the column's name is part of what the configuration says already.
+    """
     plain = accepted_units(channel)  # datetime says how numbers are written, not how large they are
-    if of_file.ending or of_file.unit is None or spec.unit not in plain or spec.unit == "datetime":
+    if of_file.unit is None or spec.unit not in plain or spec.unit == "datetime":
         return
     sizes = [conversion_factor(channel, unit) for unit in (of_file.unit, spec.unit)]
     if not math.isclose(*sizes):
