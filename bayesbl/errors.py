@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -60,6 +62,16 @@ class UserError(Exception):
         if self.expected is not None:
             text += f" Expected: {_ended(self.expected)}"
         return text
+
+
+@contextmanager
+def naming(file: str | Path) -> Iterator[None]:
+    """Let errors of this block that name no file name this one."""
+    try:
+        yield
+    except UserError as error:
+        error.name_file(file)
+        raise
 
 
 def shortened(text: str, length: int = 40) -> str:

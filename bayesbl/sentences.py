@@ -41,7 +41,7 @@ def sentence(reason: Mapping[str, Any]) -> str:
     elif callable(made):
         text = made(**values)
     else:
-        text = _Units().vformat(made, (), values)
+        text = _Phrases().vformat(made, (), values)
     if reason.get("recordings"):
         text = f"{', '.join(reason['recordings'])}: {text}"
     return " ".join([text, *map(sentence, reason.get("also", ()))])
@@ -50,16 +50,37 @@ def sentence(reason: Mapping[str, Any]) -> str:
 _NO_VALUES = ("code", "recordings", "also", "withholds", "route", "delta_error_rad")
 
 
-class _Units(Formatter):
-    """``{share:.0f %}`` is a share in per cent, ``{gap_rad:.2g mrad}`` an angle given in rad.
+class _Phrases(Formatter):
+    """``{share:.0f %}`` is a share in per cent, ``{gap_rad:.2g mrad}`` an angle given in rad,
+    ``{x:abs .2g}`` a size, ``{x:±.2g}`` one of either sign.
 
-    Items of a list are separated by commas.
+    ``{named:?yes|no}`` chooses by whether there is a value, ``{x:>0.5 yes|no}`` by its size; either
+    text may have fields. Items of a list are separated by commas, of ``{names:or}`` by or. What is
+    not given is empty.
     """
 
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        """The value of a field, ``None`` if it is not given."""
+        return kwargs.get(str(key))
+
     def format_field(self, value: Any, form: str) -> str:
-        """A value in the unit at the end of its format."""
+        """A value as its format says."""
+        if form.startswith(("?", ">")):
+            yes, no = form[1:].split("|")
+            if form[0] == "?":
+                return no if value in (None, "", False) or value == [] else yes
+            limit, yes = yes.split(" ", 1)
+            return yes if value > float(limit) else no
         if isinstance(value, list):
-            return ", ".join(self.format_field(item, form) for item in value)
+            either = form == "or"
+            items = (self.format_field(item, "" if either else form) for item in value)
+            return (" or " if either else ", ").join(items)
+        if value is None:
+            return ""
+        if form.startswith("±"):
+            return f"±{self.format_field(value, form[1:])}"
+        if form.startswith("abs "):
+            value, form = abs(value), form.removeprefix("abs ")
         for unit, one in ((" %", 100.0), (" mrad", 1e3)):
             if form.endswith(unit):
                 return f"{one * value:{form.removesuffix(unit)}}{unit}"
@@ -84,71 +105,6 @@ def of_flaw(flaw: str, **values: Any) -> str:
 def flaws_in_words(flaws: Iterable[Flaw]) -> list[str]:
     """A sentence for each flaw."""
     return [of_flaw(flaw.code, **flaw.values) for flaw in flaws]
-
-
-def beyond_curve(
-    share: float, low_rad: float, high_rad: float, level: float, bound_rad: float, is_above: bool
-) -> str:
-    """Part of the posterior is beyond the range of the gap curve."""
-    # A finite number of draws never shows that all lie there.
-    part = "More than 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
-    side = "above" if is_above else "below"
-    return (
-        f"{part} of the posterior is beyond the range of the gap curve ({low_rad:.3g} to "
-        f"{high_rad:.3g} rad). δ is {side} {bound_rad:.3g} rad with {100.0 * level:g} % "
-        "probability. Use a curve with a wider range, or allow extrapolation by [curve] "
-        "allow_extrapolation = true."
-    )
-
-
-def other_speed(curve_rpm: float, recording_rpm: float, relative_error: float) -> str:
-    """The curve is for another speed."""
-    side = "small" if relative_error < 0.0 else "large"
-    return (
-        f"The gap curve is for {curve_rpm:g} rpm, but the recording is at {recording_rpm:.4g} rpm, "
-        f"where the same gap rings differently: δ would be about {100.0 * abs(relative_error):.0f} "
-        f"% too {side}. Record at {curve_rpm:g} rpm, sweep a bench at the recording's speed, or "
-        "allow extrapolation by [curve] allow_extrapolation = true."
-    )
-
-
-def repeats_beyond_noise(
-    channel: str,
-    recording: str,
-    highest_order: int,
-    ratio: float,
-    channels: Sequence[str],
-    is_motion: bool,
-    times: float | None = None,
-    could_be: Sequence[str] = (),
-) -> str:
-    """Simulation and recording disagree.
-
-    ``times``: factor on the interval of δ that allows for it; ``could_be``: what explains most of
-    it.
-    """
-    which = f"up to load order {highest_order}" if highest_order else "in the mean"
-    part = "the part that repeats every rotation"
-    look = "`bayesbl diagnose` looks for what is missing."
-    if is_motion:
-        which = which.replace("load order", "order") + " of the cycle"
-        part = "the residual"
-        look = "`bayesbl identify` with `--effects catalogue` looks for what is missing."
-    if could_be:
-        look = f"{' or '.join(could_be)} would explain most of it; {look}"
-    where = (
-        f"in {channel} of {recording}, {which}, {part} has {ratio:.3g} times the power "
-        f"expected from noise (disagreement in {', '.join(channels)})"
-    )
-    if times is None:
-        return (
-            f"Simulation and recording disagree beyond noise, so δ cannot be trusted: {where}. The "
-            f"bench file lacks an effect or has wrong values; {look}"
-        )
-    return (
-        f"Simulation and recording disagree beyond noise: {where}. The bench lacks something that "
-        f"may move δ, so the interval is {times:.2g} times as wide; {look}"
-    )
 
 
 def bench_lacks(parameters: Sequence[Mapping[str, Any]], alike: Sequence[str]) -> str:
@@ -213,36 +169,6 @@ def quantity_changed(
     )
 
 
-def filter_changed(least_share: float, recording: str = "") -> str:
-    """The filter of the recorded speed changed, by the colour of its noise."""
-    direction = "raise" if least_share > 0.0 else "lower"
-    return (
-        f"The spectrum of the speed's noise changed{_in(recording)}, as if the speed were "
-        "filtered differently or the noise had another source. Such a filter alone would "
-        f"{direction} the ringing by {100.0 * abs(least_share):.2g} % or more. Record all "
-        "snapshots through the same filter, or the motor current as well."
-    )
-
-
-def line_changed(
-    quantity: str,
-    order: int,
-    measured: float,
-    expected: float,
-    unit: str,
-    furthest_share: float,
-    recording: str = "",
-) -> str:
-    """A line of the motor changed, which may be all that changed the ringing."""
-    direction = "rose" if measured > expected else "fell"
-    return (
-        f"The {quantity} at motor order {order} {direction} from {expected:.2g} to {measured:.2g} "
-        f"{unit}{_in(recording)}: an error of transmission or encoder, or a torque ripple, not the "
-        f"gap. It could change the ringing by up to {100.0 * furthest_share:.2g} %, as much as was "
-        "measured."
-    )
-
-
 def _in(recording: str) -> str:
     return f" in {recording}" if recording else ""
 
@@ -303,91 +229,6 @@ def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
     return f"The answer is the estimate by the ringing, because simulation has none: {why}"
 
 
-def routes_disagree(names: Sequence[str], witness: bool = False) -> str:
-    """Two routes give different answers; the second may be a ``witness`` that needs no bench."""
-    where = f"disagree beyond their intervals in {', '.join(names)}"
-    if witness:
-        return (
-            f"The answer and the two encoders of motor and load {where}, so the change is "
-            "withheld: the bench or the curve is wrong for this joint (`bayesbl diagnose` looks "
-            "for what is missing), or an encoder is loose or belongs to another joint."
-        )
-    return (
-        f"The estimates by simulation and by the ringing {where}, although both use the same "
-        "bench, so the change is withheld: the bench lacks an effect or has wrong values (`bayesbl "
-        "diagnose` looks for what is missing)."
-    )
-
-
-def one_date(count: int, repaired: bool) -> str:
-    """A rate needs two dates."""
-    what = {0: "There is no snapshot with a gap", 1: "There is only one snapshot"}.get(
-        count, "There are only snapshots of one day"
-    )
-    repair = " since the repair" if repaired else ""
-    return f"{what}{repair}: a rate needs two, at different dates."
-
-
-def ramps_held(
-    skipped_nm: Sequence[float], amplitude_nm: float, needed_nm: float, friction_nm: float
-) -> str:
-    """Torque ramps that do not show the play."""
-    if skipped_nm:
-        held = ", ".join(f"±{torque:.3g}" for torque in skipped_nm)
-        return (
-            f"The ramps of {held} N m hardly move the joint, and those of ±{amplitude_nm:.3g} N m "
-            "alone do not show how much of the angle that they leave is wind-up held by friction. "
-            f"Add ramps to about {needed_nm:.2g} N m."
-        )
-    return (
-        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: the angle that they "
-        "leave may be wind-up held by friction or a preload. Add ramps to at least "
-        f"{needed_nm:.2g} N m if the gear is rated for it. If these ramps are already far above "
-        f"the friction, add small ones to about {2.0 * friction_nm:.2g} N m instead."
-    )
-
-
-def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float) -> str:
-    """The joint is preloaded."""
-    evidence = (
-        "No flank lifts at any of these torques, so the preload is unknown."
-        if lifts_nm is None
-        else f"Both flanks carry the torque up to about {lifts_nm:.2g} N m, where one lifts."
-    )
-    return (
-        "These ramps show no play: the joint is stiffer around zero torque than at larger torque "
-        f"({relative_compliance:.2g} times the compliance), like a preloaded joint. {evidence} "
-        f"The loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, because friction holds "
-        "the joint wound up; δ is at most half of that."
-    )
-
-
-def soft_flanks(relative_compliance: float, times: float, share: float) -> str:
-    """Soft flanks look like play."""
-    part = (
-        "all of δ, without any play"
-        if share > 1.0
-        else f"{100.0 * share:.0f} % of δ, and more if softer"
-    )
-    return (
-        f"Around zero torque the joint is {relative_compliance:.2g} times as soft as at larger "
-        "torque. Flanks that are soft at small torque, as in a strain wave gear, look like play, "
-        f"and the probability of play ignores them: flanks {times:.0f} times as soft, which is "
-        f"common, would explain {part}. That part is lost motion."
-    )
-
-
-def torque_offset(low_nm: float, high_nm: float) -> str:
-    """The torque has an offset."""
-    low, high = f"{low_nm:.2g}", f"{high_nm:.2g}"
-    about = low if low == high else f"{low} to {high}"
-    return (
-        f"The joint moves freely around {about} N m rather than around zero, more than friction "
-        "explains: a weight hangs on it, or the torque sensor has an offset. This torque was "
-        "subtracted."
-    )
-
-
 def tolerance_decides(name: str, side: str, shift_rad: float) -> str:
     """δ depends on a value at or beyond the edge of the bench's tolerance."""
     effect, dot, _ = name.partition(".")
@@ -401,26 +242,16 @@ def tolerance_decides(name: str, side: str, shift_rad: float) -> str:
     )
 
 
-def gap_unseen(
-    pull_rpm_per_s: float, bound_rad: float | None = None, is_larger: bool = False, level: float = 0
-) -> str:
-    """In this motion the load stays on one flank, with the bound that this leaves."""
-    bound = ""
-    if bound_rad is not None:
-        side = "larger" if is_larger else "smaller"
-        bound = f"It is {side} than {1e3 * bound_rad:.2g} mrad ({100.0 * level:.0f} %). "
-    wanted = (
-        "takes the load through the angle at which gravity's torque changes its sign (hanging "
-        "straight down or standing upright), or one that brakes and accelerates the load harder "
-        f"than gravity pulls at it: here by more than {pull_rpm_per_s:.3g} rpm/s of the motor"
-        if pull_rpm_per_s > 0.0
-        else "brakes and accelerates the load both ways"
-    )
-    return (
-        "In this motion the load never passes from one tooth flank to the other, so the recording "
-        f"does not show δ. {bound}Record a motion that {wanted}. "
-        "`bayesbl plan --bench FILE` ranks motions."
-    )
+_DISAGREEMENT = (
+    "Simulation and recording disagree beyond noise{times:?|, so δ cannot be trusted}: in "
+    "{channel} of {recording}, {highest_order:>0 up to {is_motion:?order|load order} "
+    "{highest_order}|in the mean}{is_motion:? of the cycle|}, {is_motion:?the residual|the part "
+    "that repeats every rotation} has {ratio:.3g} times the power expected from noise "
+    "(disagreement in {channels}). {times:?The bench lacks something that may move δ, so the "
+    "interval is {times:.2g} times as wide|The bench file lacks an effect or has wrong values}; "
+    "{could_be:?{could_be:or} would explain most of it; |}{is_motion:?`bayesbl identify` with "
+    "`--effects catalogue` looks|`bayesbl diagnose` looks} for what is missing."
+)
 
 
 SENTENCES: Mapping[str, str | Callable[..., str]] = {
@@ -452,7 +283,12 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "No scale of the curve fits all known gaps. Check them, and the recordings to which they "
         "belong."
     ),
-    "beyond_curve": beyond_curve,
+    "beyond_curve": (
+        "{share:>0.99 More than 99 %|{share:.0f %}} of the posterior is beyond the range of the "
+        "gap curve ({low_rad:.3g} to {high_rad:.3g} rad). δ is {is_above:?above|below} "
+        "{bound_rad:.3g} rad with {level:g %} probability. Use a curve with a wider range, or "
+        "allow extrapolation by [curve] allow_extrapolation = true."
+    ),
     "box_search_missed": (
         "The search of eq. 6 in the ranges of Table 2, both as printed, missed the best fit. "
         "It ended at A = {amplitude_rpm:.3g} rpm "
@@ -465,7 +301,12 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "rpm, but {with_baseline_rpm:.3g} rpm with one harmonic of the load angle. Set "
         "[estimator.model] baseline_harmonics = 1."
     ),
-    "other_speed": other_speed,
+    "other_speed": (
+        "The gap curve is for {curve_rpm:g} rpm, but the recording is at {recording_rpm:.4g} rpm, "
+        "where the same gap rings differently: δ would be about {relative_error:abs .0f %} too "
+        "{relative_error:>0 large|small}. Record at {curve_rpm:g} rpm, sweep a bench at the "
+        "recording's speed, or allow extrapolation by [curve] allow_extrapolation = true."
+    ),
     "other_rotation": (
         "The speed repeats every {rotation_s:.4g} s, but with a gear ratio of {gear_ratio:g} the "
         "load turns once in {expected_s:.4g} s at {speed_rpm:.4g} rpm. Is the gear ratio right (a "
@@ -479,8 +320,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "recording_contradicts_bench": (
         "The recording contradicts the bench, and the gap curve comes from that bench."
     ),
-    "repeats_beyond_noise": repeats_beyond_noise,
-    "allows_for_misfit": repeats_beyond_noise,
+    "repeats_beyond_noise": _DISAGREEMENT,
+    "allows_for_misfit": _DISAGREEMENT,
     "negative_law": (
         "Simulation and recording agree only if a damping, or another law that cannot be negative, "
         "is negative. The bench lacks something that may move δ, so the interval is {times:.2g} "
@@ -498,14 +339,31 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "`bayesbl diagnose` finds missing."
     ),
     # Of a change.
-    "routes_disagree": routes_disagree,
+    "routes_disagree": (
+        "{witness:?The answer and the two encoders of motor and load|The estimates by simulation "
+        "and by the ringing} disagree beyond their intervals in {names}, {witness:?so|although "
+        "both use the same bench, so} the change is withheld: {witness:?the bench or the curve is "
+        "wrong for this joint (`bayesbl diagnose` looks for what is missing), or an encoder is "
+        "loose or belongs to another joint|the bench lacks an effect or has wrong values (`bayesbl "
+        "diagnose` looks for what is missing)}."
+    ),
     "joint_changed": (
         "Something other than the gap changed between the snapshots and moves the ringing too, so "
         "the change of δ is withheld."
     ),
     "quantity_changed": quantity_changed,
-    "filter_changed": filter_changed,
-    "line_changed": line_changed,
+    "filter_changed": (
+        "The spectrum of the speed's noise changed{recording:? in {recording}|}, as if the speed "
+        "were filtered differently or the noise had another source. Such a filter alone would "
+        "{least_share:>0 raise|lower} the ringing by {least_share:abs .2g %} or more. Record all "
+        "snapshots through the same filter, or the motor current as well."
+    ),
+    "line_changed": (
+        "The {quantity} at motor order {order} {measured:>{expected} rose|fell} from "
+        "{expected:.2g} to {measured:.2g} {unit}{recording:? in {recording}|}: an error of "
+        "transmission or encoder, or a torque ripple, not the gap. It could change the ringing by "
+        "up to {furthest_share:.2g %}, as much as was measured."
+    ),
     "parameter_changed": lambda recording, **values: (
         f"In {recording} something other than the gap is different: "
         f"{as_estimated(recording=recording, **values)}."
@@ -621,7 +479,15 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "range, not the recording, decides. Widen [estimator] gap_rad, or correct the bench."
     ),
     # Of a motion.
-    "gap_unseen": gap_unseen,
+    "gap_unseen": (
+        "In this motion the load never passes from one tooth flank to the other, so the recording "
+        "does not show δ. {bound_rad:?It is {is_larger:?larger|smaller} than {bound_rad:.2g mrad} "
+        "({level:.0f %}). |}Record a motion that {pull_rpm_per_s:>0 takes the load through the "
+        "angle at which gravity's torque changes its sign (hanging straight down or standing "
+        "upright), or one that brakes and accelerates the load harder than gravity pulls at it: "
+        "here by more than {pull_rpm_per_s:.3g} rpm/s of the motor|brakes and accelerates the load "
+        "both ways}. `bayesbl plan --bench FILE` ranks motions."
+    ),
     "start_unknown": (
         "The flank at the start of the recording is unknown, because nothing presses the teeth "
         "together there, and the part that is compared still depends on it. Record the same motion "
@@ -649,7 +515,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "withheld: no bench explains {needed} and the other recordings together. Run `bayesbl "
         "compare` on these recordings to find what changed."
     ),
-    "one_date": one_date,
+    "one_date": (
+        "{count:>0 There {count:>1 are only snapshots of one day|is only one snapshot}|There is no "
+        "snapshot with a gap}{repaired:? since the repair|}: a rate needs two, at different dates."
+    ),
     "gap_withheld": "The gap is withheld for {names}.",
     "gap_fell": (
         "{name} is {fall_rad:.3f mrad} below the snapshot before it "
@@ -658,19 +527,43 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "gap_shrank": f"The gap shrank, which wear cannot cause. {UNLESS_REPAIRED}",
     # Of ramps of torque.
-    "ramps_held": ramps_held,
-    "no_play": no_play,
+    "ramps_held": (
+        "The ramps of {skipped_nm:?{skipped_nm:±.3g} N m hardly move the joint, and those of |}"
+        "±{amplitude_nm:.3g} N m alone do not show {skipped_nm:?how much of the angle that they "
+        "leave is wind-up held by friction. Add ramps to about {needed_nm:.2g} N m.|the play: the "
+        "angle that they leave may be wind-up held by friction or a preload. Add ramps to at least "
+        "{needed_nm:.2g} N m if the gear is rated for it. If these ramps are already far above the "
+        "friction, add small ones to about twice the friction ({friction_nm:.2g} N m) instead.}"
+    ),
+    "no_play": (
+        "These ramps show no play: the joint is stiffer around zero torque than at larger torque "
+        "({relative_compliance:.2g} times the compliance), like a preloaded joint. {lifts_nm:?Both "
+        "flanks carry the torque up to about {lifts_nm:.2g} N m, where one lifts.|No flank lifts "
+        "at any of these torques, so the preload is unknown.} The loop is up to {width_rad:.2g "
+        "mrad} wide at zero torque, because friction holds the joint wound up; δ is at most half "
+        "of that."
+    ),
     "play_unsure": (
         "There may be no play (probability of play {probability:.0f %}): around zero torque the "
         "joint is {relative_compliance:.2g} times as soft as at larger torque, but this differs "
         "between positions. The interval of δ allows for zero play."
     ),
-    "soft_flanks": soft_flanks,
-    "ramps_skipped": lambda skipped_nm, amplitude_nm: (
-        f"The ramps of {', '.join(f'±{torque:.3g}' for torque in skipped_nm)} N m hardly move the "
-        f"joint, because friction holds it; those of ±{amplitude_nm:.3g} N m were used."
+    "soft_flanks": (
+        "Around zero torque the joint is {relative_compliance:.2g} times as soft as at larger "
+        "torque. Flanks that are soft at small torque, as in a strain wave gear, look like play, "
+        "and the probability of play ignores them: flanks {times:.0f} times as soft, which is "
+        "common, would explain {share:>1 all of δ, without any play|{share:.0f %} of δ, and more "
+        "if softer}. That part is lost motion."
     ),
-    "torque_offset": torque_offset,
+    "ramps_skipped": (
+        "The ramps of {skipped_nm:±.3g} N m hardly move the joint, because friction holds it; "
+        "those of ±{amplitude_nm:.3g} N m were used."
+    ),
+    "torque_offset": (
+        "The joint moves freely around {high_nm:>{low_nm} {low_nm:.2g} to |}{high_nm:.2g} N m "
+        "rather than around zero, more than friction explains: a weight hangs on it, or the torque "
+        "sensor has an offset. This torque was subtracted."
+    ),
     "torque_turned": "The torque's sign was opposite to the position's; it was reversed.",
     "no_gear_ratio": (
         "No gear_ratio is given: position and torque are taken as those of the output."
@@ -693,11 +586,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "scatter of up to 70 % of the gap."
     ),
     # Of two encoders.
-    "play_not_told": lambda probability, upper_mrad, lost_mrad: (
-        f"{'Play is likely but not sure' if probability > 0.5 else 'There may be no play'} "
-        f"(probability of play {100.0 * probability:.0f} %): the two directions are "
-        f"{lost_mrad:.2g} mrad apart, which skew, wind-up or noise can cause. δ is below "
-        f"{upper_mrad:.2g} mrad with 95 % probability."
+    "play_not_told": (
+        "{probability:>0.5 Play is likely but not sure|There may be no play} (probability of play "
+        "{probability:.0f %}): the two directions are {lost_mrad:.2g} mrad apart, which skew, "
+        "wind-up or noise can cause. δ is below {upper_mrad:.2g} mrad with 95 % probability."
     ),
     "held_by_weight": (
         "The torque shows that weight, a spring or a hand exceeds the load's friction on one side, "
@@ -719,9 +611,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "
         "more reversals, slow and fast ones, with friction or a brake at the output."
     ),
-    "few_reversals": lambda count: (
-        f"The motor reverses only {count} time{'' if count == 1 else 's'}, and only reversals show "
-        "play. Record ten or more, slow and fast, to separate play from a skew of the channels."
+    "few_reversals": (
+        "The motor {count:>1 reverses only {count} times|{count:>0 reverses only once|never "
+        "reverses}}, and only reversals show play. Record ten or more, slow and fast, to separate "
+        "play from a skew of the channels."
     ),
     "no_torque": (
         "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks "
@@ -744,14 +637,13 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "motor_at_output": (
         "The motor's position is already that at the output: the gear ratio was not applied again."
     ),
-    "channels_skewed": lambda skew_ms: (
-        f"The load's stamps are {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}; this "
-        "was corrected."
+    "channels_skewed": (
+        "The load's stamps are {skew_ms:abs .2g} ms {skew_ms:>0 late|early}; this was corrected."
     ),
-    "skew_or_play": lambda skew_ms: (
+    "skew_or_play": (
         "All motion has one speed, so play cannot be distinguished from a skew of the channels: "
-        f"the load's stamps seem {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}. "
-        "Record slow and fast motion, or with friction or a brake at the load."
+        "the load's stamps seem {skew_ms:abs .2g} ms {skew_ms:>0 late|early}. Record slow and fast "
+        "motion, or with friction or a brake at the load."
     ),
     "lag_changes": (
         "The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "

@@ -66,6 +66,7 @@ _WORDS = {
         ("current", 1.0, "a amp amps ampere amperes arms aeff"),
         ("torque", 1.0, "nm"),
         ("torque", 0.01, "ncm"),
+        ("torque", 0.001, "nmm"),
     )
     for word in words.split()
 }

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -102,7 +101,7 @@ def with_samples_lost(
     names = list(recording.channels)
     values = np.column_stack([recording.channels[name] for name in names])
     values[generator.uniform(size=recording.samples) < share] = np.nan
-    bridged = bridge(Path(recording.name), recording.time_s, values, lambda row, _: f"sample {row}")
+    bridged = bridge(recording.time_s, values, lambda row, _: f"sample {row}")
     return replace(
         recording,
         time_s=bridged.time_s,

@@ -13,6 +13,13 @@ import typer
 from bayesbl import __version__
 from bayesbl.cli.commands import COMMANDS, FAILED, FIGURES, WITHHELD, WRONG, brought_forward
 from bayesbl.errors import UserError
+from bayesbl.presentation.terminal import (
+    error,
+    make_console,
+    plain,
+    replace_what_cannot_be_printed,
+    say,
+)
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
 _UsageError: Any = typer.BadParameter.__bases__[0]  # click's, or that of typer's own copy of click
@@ -87,14 +94,6 @@ def _open_what_is_closed() -> None:
 
 def status(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, by default ``sys.argv``, and return its exit status."""
-    from bayesbl.presentation.terminal import (
-        error,
-        make_console,
-        plain,
-        replace_what_cannot_be_printed,
-        say,
-    )
-
     replace_what_cannot_be_printed()
     try:
         # --help, --version and Ctrl-C end inside typer, with the status as value.

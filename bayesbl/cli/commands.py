@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from bayesbl.errors import ConfigError, NeedsBench, UserError
+from bayesbl.libraries import bare
+from bayesbl.presentation.terminal import STEERING, error, make_console, print_blocks, progress, say
 from bayesbl.recording import formats
 
 if TYPE_CHECKING:
@@ -52,27 +54,20 @@ def run_file(
 
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and exit with the status of a withheld one if it is."""
-    from bayesbl.libraries import bare
-
     with bare(dask=getattr(config.run, "scheduler", None) is not None):
-        _run_config(config, force, json, file)
+        from bayesbl.library import draw
+        from bayesbl.presentation.console import print_result
+        from bayesbl.runs.kinds import run
+        from bayesbl.runs.workflow import Options
 
-
-def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
-    from bayesbl.library import draw
-    from bayesbl.presentation.console import print_result
-    from bayesbl.presentation.terminal import make_console, progress, say
-    from bayesbl.runs.kinds import run
-    from bayesbl.runs.workflow import Options
-
-    console = make_console(stderr=True)
-    with progress(console) as tell:
-        options = Options(draw, force, tell, console.print, FIGURES.get())
-        summary = run(config, options, file)
-    if json:
-        print_json(summary)
-    else:
-        print_result(summary, config.run.output, make_console())
+        console = make_console(stderr=True)
+        with progress(console) as tell:
+            options = Options(draw, force, tell, console.print, FIGURES.get())
+            summary = run(config, options, file)
+        if json:
+            print_json(summary)
+        else:
+            print_result(summary, config.run.output, make_console())
     if summary["outcome"] == "withheld":
         if json:
             reason = summary["reason"]
@@ -83,7 +78,6 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
 
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print a summary as stored, in UTF-8 whatever the terminal's encoding."""
-    from bayesbl.presentation.terminal import STEERING
     from bayesbl.results.store import json_text
 
     text = STEERING.sub(lambda match: f"\\u{ord(match[0]):04x}", json_text(summary))
@@ -92,7 +86,6 @@ def print_json(summary: Mapping[str, Any]) -> None:
 
 def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) -> None:
     """Make the recordings and print their files."""
-    from bayesbl.presentation.terminal import say
     from bayesbl.runs.simulate import run_simulate
 
     given = {name: options.pop(name) for name in ("out", "seed", "workers")}
@@ -264,15 +257,8 @@ def run_command(config: ConfigPath, **given: Any) -> None:
     run_file(config, **given)
 
 
-@_takes("out seed workers scheduler force json")
-def fleet_command(config: ConfigPath, **given: Any) -> None:
-    """Measure new recordings of many joints, and write their tables and pages."""
-    run_file(config, kind="fleet", **given)
-
-
 def check_command(config: ConfigPath) -> None:
     """Check a configuration or a bench file without running it."""
-    from bayesbl.presentation.terminal import say
     from bayesbl.runs.kinds import check
 
     plan = check(config)
@@ -302,7 +288,6 @@ def init_command(
             expected="one or more recordings; or --bench for a joint's data sheet to fill in",
         )
     from bayesbl.presentation.console import guess_blocks, what_next
-    from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.kinds import check
 
@@ -325,7 +310,6 @@ def init_command(
 
 
 def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) -> None:
-    from bayesbl.presentation.terminal import say
     from bayesbl.runs.first_configuration import write_first_bench
 
     if recordings:
@@ -341,7 +325,6 @@ def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) ->
 
 def _print_findings(plan: Plan) -> None:
     """Print warnings and problems; exit if there is a problem."""
-    from bayesbl.presentation.terminal import error, make_console, say
 
     for warning in plan.warnings:
         say(f"warning: {warning}")
@@ -420,8 +403,6 @@ def watch_command(
     **given: Any,
 ) -> None:
     """Measure recordings as they appear, on a device at the robot."""
-    from bayesbl.libraries import bare
-
     with bare():
         from bayesbl.config.kinds import FleetConfig
         from bayesbl.fleet.broker import read_address, read_credentials
@@ -473,7 +454,6 @@ def collect_command(
 
 def _log(text: str | None) -> None:
     """Print to standard error at once, for a service's journal."""
-    from bayesbl.presentation.terminal import say
 
     if text is not None:
         say(text, err=True)
@@ -499,10 +479,10 @@ def _ended_by_signals() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _command(kind: str, what: str) -> Callable[..., None]:
+def _command(kind: str, what: str, scheduler: str = "") -> Callable[..., None]:
     """The command that runs configurations of one kind; ``what`` is its help."""
 
-    @_takes("out seed workers force json")
+    @_takes(f"out seed workers {scheduler} force json")
     def command(config: ConfigPath, **given: Any) -> None:
         run_file(config, kind=kind, **given)
 
@@ -512,6 +492,9 @@ def _command(kind: str, what: str) -> Callable[..., None]:
 
 simulate_command = _command("simulate", "Make recordings on a virtual bench.")
 sweep_command = _command("sweep", "Simulate a bench over a range of gaps to make its gap curve.")
+fleet_command = _command(
+    "fleet", "Measure new recordings of many joints, and write their tables and pages.", "scheduler"
+)
 
 
 @_takes(
@@ -537,7 +520,6 @@ def effects_command(
     """Print the catalogue of physical effects, or one entry in full."""
     from bayesbl.bench.effects import EFFECTS, effect_named
     from bayesbl.presentation.console import catalogue, entry
-    from bayesbl.presentation.terminal import make_console, print_blocks
 
     print_blocks(catalogue(EFFECTS) if name is None else entry(effect_named(name)), make_console())
 
@@ -572,7 +554,6 @@ def diagnose_command(inputs: Inputs, **given: Any) -> None:
         return
     if given["bench"] is None and config is None:
         raise _without_bench("A diagnosis needs the bench to examine.", "bench.toml")
-    from bayesbl.presentation.terminal import make_console
     from bayesbl.runs.diagnose import diagnosis_of
 
     loaded, guess = diagnosis_of(inputs, config, **given)
@@ -599,7 +580,6 @@ def _without_bench(problem: str, example: str) -> ConfigError:
 def figures_command(result: ResultPath, **given: Any) -> None:
     """Draw the figures of a result again, as PDF and PNG."""
     from bayesbl.library import draw, require_study_file
-    from bayesbl.presentation.terminal import say
     from bayesbl.results.folder import FIGURES
     from bayesbl.runs.kinds import read_result
 
@@ -613,7 +593,6 @@ def figures_command(result: ResultPath, **given: Any) -> None:
 @_takes("bench out force")
 def export_command(result: ResultPath, **given: Any) -> None:
     """Write a measured joint as MuJoCo models and tables of draws."""
-    from bayesbl.presentation.terminal import say
     from bayesbl.runs.export import export
 
     for path in export(result, given["bench"], given["out"], force=given["force"]):
@@ -623,7 +602,6 @@ def export_command(result: ResultPath, **given: Any) -> None:
 def report_command(result: ResultPath) -> None:
     """Write a result as one HTML page, report.html, that opens anywhere."""
     from bayesbl.presentation.page.build import write_page
-    from bayesbl.presentation.terminal import say
 
     say(str(write_page(result)))
 
@@ -632,7 +610,6 @@ def report_command(result: ResultPath) -> None:
 def inspect_command(result: ResultPath, **given: Any) -> None:
     """Print what a result says."""
     from bayesbl.presentation.console import print_summary
-    from bayesbl.presentation.terminal import make_console
     from bayesbl.runs.kinds import read_result, summarise
 
     tree = read_result(result)
@@ -646,7 +623,6 @@ def inspect_command(result: ResultPath, **given: Any) -> None:
 def cite_command() -> None:
     """Print what to cite, as BibTeX, with what each work did."""
     from bayesbl.presentation.console import all_bibtex
-    from bayesbl.presentation.terminal import say
 
     say(all_bibtex())
 

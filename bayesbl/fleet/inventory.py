@@ -312,7 +312,9 @@ def _rows(file: Path) -> list[dict[str, str]]:
     """Rows of a table as text by column."""
     try:
         text = read_input(file).decode("utf-8-sig")
-        rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+        separator = max(",;\t", key=text.partition("\n")[0].count)
+        lines = io.StringIO(text, newline="")
+        rows = list(csv.DictReader(lines, strict=True, delimiter=separator))
     except UnicodeDecodeError:
         raise ConfigError("This table is not UTF-8 text.", file=file, expected="UTF-8") from None
     except OSError as error:

@@ -8,6 +8,7 @@ folder of JSON and little-endian numbers, which needs no library to write.
 from __future__ import annotations
 
 import json
+import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -82,8 +83,21 @@ QUANTILE_COLUMNS = tuple(f"delta_rad_q{round(100 * q):02d}" for q in QUANTILES)
 
 
 def _columns(text: str) -> dict[str, tuple[str, str]]:
-    """Type and meaning of columns, from a table."""
-    return {column.name: (column.unit, column.meaning) for column in table(text)}
+    """Type and meaning of columns, from a table; ``x_median/low`` is ``x_median``, ``x_low``."""
+    columns = {}
+    for column in table(text):
+        first, *ends = column.name.split("/")
+        columns[first] = column.unit, column.meaning
+        unit = re.search(r", rad(/year)?\b|, rpm\b|$", column.meaning)
+        assert unit is not None
+        for end in ends:
+            name = f"{first.rpartition('_')[0]}_{end}"
+            columns[name] = column.unit, _FURTHER.get(end, "its quantile (q05: 5 %)") + unit[0]
+    return columns
+
+
+_BOUND = "bound of its interval"
+_FURTHER = {"low": _BOUND, "high": _BOUND, "sd": "its standard deviation"}
 
 
 RECORDING_COLUMNS = _columns("""
@@ -97,19 +111,8 @@ RECORDING_COLUMNS = _columns("""
     notes | string | further remarks on the answer
     route | string | direct or amplitude
     used | bool | whether the joint's rate uses it; null from watch, which gives no rates
-    delta_rad_median | double | gap, rad
-    delta_rad_low | double | bound of its interval, rad
-    delta_rad_high | double | bound of its interval, rad
-    delta_rad_sd | double | its standard deviation, rad
-    delta_rad_q01 | double | its quantile (q05: 5 %), rad
-    delta_rad_q05 | double | its quantile (q05: 5 %), rad
-    delta_rad_q25 | double | its quantile (q05: 5 %), rad
-    delta_rad_q75 | double | its quantile (q05: 5 %), rad
-    delta_rad_q95 | double | its quantile (q05: 5 %), rad
-    delta_rad_q99 | double | its quantile (q05: 5 %), rad
-    amplitude_rpm_median | double | amplitude of the ringing, rpm
-    amplitude_rpm_low | double | bound of its interval, rpm
-    amplitude_rpm_high | double | bound of its interval, rpm
+    delta_rad_median/low/high/sd/q01/q05/q25/q75/q95/q99 | double | gap, rad
+    amplitude_rpm_median/low/high | double | amplitude of the ringing, rpm
     probability_above_limit | double | probability that δ was above the joint's limit
     device | string | name of the device that sent it; null if it was measured here
 """)
@@ -126,27 +129,19 @@ JOINT_COLUMNS = _columns("""
     route | string | direct or amplitude
     first_date | string | date of the first or last recording in use
     last_date | string | date of the first or last recording in use
-    delta_rad_median | double | gap at the last date, rad
-    delta_rad_low | double | bound of its interval, rad
-    delta_rad_high | double | bound of its interval, rad
+    delta_rad_median/low/high | double | gap at the last date, rad
     probability_limit_now | double | probability that the gap was above its limit at the last date
     probability_wear | double | probability that the gap has grown since the first date; without
         pooling
-    rate_rad_per_year_median | double | mean rate over the dates in use, rad/year; uses other
-        joints if pooled is true
-    rate_rad_per_year_low | double | bound of its interval, rad/year
-    rate_rad_per_year_high | double | bound of its interval, rad/year
-    rate_rad_per_year_sd | double | its standard deviation, rad/year
-    rate_alone_rad_per_year_median | double | rate from this joint's recordings only, rad/year
-    rate_alone_rad_per_year_low | double | bound of its interval, rad/year
-    rate_alone_rad_per_year_high | double | bound of its interval, rad/year
+    rate_rad_per_year_median/low/high/sd | double | mean rate over the dates in use, rad/year; uses
+        other joints if pooled is true
+    rate_alone_rad_per_year_median/low/high | double | rate from this joint's recordings only,
+        rad/year
     pooled | bool | whether rate and date use other joints of its type
     probability_unlike_type | double | probability that it does not wear like its type; null
         if its type is unknown
     law | string | likeliest law of wear; uses other joints if pooled is true
-    limit_date_median | string | when the gap reaches the limit; null: not in 1000 years
-    limit_date_low | string | bound of its interval
-    limit_date_high | string | bound of its interval
+    limit_date_median/low/high | string | when the gap reaches the limit; null: not in 1000 years
     limit_date_not_before | string | one-sided bound, at the interval's level
     probability_limit_before | double | probability that the limit is reached before [fleet]
         decide_before

@@ -17,7 +17,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,8 +36,13 @@ _GROUPED = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[{other}'’\u00a0\u202f ]\d{{3}})+(?:[{mark}]\d*)?")
     for mark, other in ((".", ","), (",", "."))
 }
+_ONE_GROUP = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}[{mark}]\d{{3}}") for mark in ".,"}
 _WITH_UNIT = re.compile(r"([+\-−]?\d[^\sA-Za-z]*(?:[eE][+-]?\d+)?)\s?([^\d\s.,:+\-/].*)")
 """A number with its unit, as exports write it: ``0.001 sec``, ``1500.2 rpm``."""
+
+
+SCALES = r"scal|skal|fa[ck]tor|offset|gain|multiplier"
+"""In names of what may have been applied to the values or not: a question to the user."""
 
 
 def number_in(cell: str, mark: str) -> float | None:
@@ -84,22 +88,36 @@ def is_value(cell: str) -> bool:
     return is_date(cell) or is_number(cell)
 
 
-def decimal_mark(file: Path, cells: Sequence[str]) -> str:
+def decimal_mark(cells: Sequence[str]) -> str:
     """The decimal mark (comma or point) that fits most numbers."""
     cells = [number for cell in cells if is_bare_number(number := parted(cell)[0])]
     if not any("," in cell for cell in cells):
         return "."
     fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
     if fits["."] == fits[","]:
-        example = next(cell for cell in cells if "," in cell)
-        raise RecordingError(
-            "A comma may be a decimal comma here, or part thousands.",
-            file=file,
-            found=repr(shortened(example)),
-            expected=f"{example.replace(',', '.')} or {example.replace(',', '')}: numbers without "
-            "marks between thousands",
-        )
+        raise _may_be_decimal(next(cell for cell in cells if "," in cell), ",")
     return "," if fits[","] > fits["."] else "."
+
+
+def require_one_mark(cells: Sequence[str], mark: str) -> None:
+    """Refuse a column whose cells all have one group of three digits behind the other mark.
+
+    They may be decimals of another program, as time is beside numbers that a person's region sets.
+    """
+    other = "," if mark == "." else "."
+    numbers = [number for cell in cells if is_bare_number(number := parted(cell)[0])]
+    if len(numbers) > 2 and all(_ONE_GROUP[other].fullmatch(number) for number in numbers):
+        raise _may_be_decimal(numbers[0], other)
+
+
+def _may_be_decimal(example: str, mark: str) -> RecordingError:
+    what = {",": "comma may be a decimal comma", ".": "point may be a decimal point"}[mark]
+    return RecordingError(
+        f"A {what} here, or part thousands.",
+        found=repr(shortened(example)),
+        expected=f"{example.replace(mark, '.')} or {example.replace(mark, '')}: numbers without "
+        "marks between thousands",
+    )
 
 
 _STAMP = re.compile(
@@ -139,7 +157,7 @@ def is_date(text: str) -> bool:
     return any(mark in text for mark in ":T_") and _stamp(text.strip()) is not None
 
 
-def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str]) -> FloatArray:
+def seconds_of_dates(texts: Iterable[str], place: Callable[[int], str]) -> FloatArray:
     """Seconds since the first date, shape (n,); NaN for empty texts.
 
     A time of day that starts again belongs to the next day. ``place`` gives the place of a row.
@@ -159,7 +177,6 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
         if read is None or (form is not None and read[2] != form):
             raise RecordingError(
                 "This is not a date like those before it.",
-                file=file,
                 where=place(row),
                 found=repr(shortened(text)),
                 expected="a date with a time, as 2026-03-01T12:00:00.250",
@@ -245,7 +262,6 @@ LONGEST_TEXT = 60  # letters kept of a text cell: dates are shorter, and message
 class ArrayTable:
     """One-dimensional arrays by name."""
 
-    file: str  # path as the user gave it, for messages
     arrays: Mapping[str, AnyArray]  # shape (n,) each; n may differ
     units: Mapping[str, str] = field(default_factory=dict)  # that the file states
     clocks: Mapping[str, str] = field(default_factory=dict)  # a column's time column, in s
@@ -254,6 +270,7 @@ class ArrayTable:
     lines: NDArray[np.int64] | None = None  # line in a text of each row, from 1, shape (n,)
     step_s: float | None = None  # time between rows, if the file states it
     one_origin: bool = False  # whether all clocks count from the same instant
+    file: str = ""  # path as the user gave it, for messages
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -318,7 +335,7 @@ class ArrayTable:
         texts = [_text(value) for value in values.tolist()]
         if not is_date(next(filter(None, texts), "")):
             return None
-        seconds = seconds_of_dates(texts, self.file, lambda row: self.place(row, column))
+        seconds = seconds_of_dates(texts, lambda row: self.place(row, column))
         return self._with_milliseconds(seconds)
 
     def _with_milliseconds(self, seconds: FloatArray) -> FloatArray:
@@ -349,7 +366,6 @@ class ArrayTable:
         if len(set(lengths.values())) > 1:
             raise RecordingError(
                 "The columns do not have the same number of samples.",
-                file=self.file,
                 where=", ".join(f'"{name}"' for name in lengths),
                 found=" and ".join(str(length) for length in lengths.values()),
                 expected="one value of each for every time stamp",
@@ -360,7 +376,6 @@ class ArrayTable:
         if column in self.withheld:
             raise RecordingError(
                 "The values of this column cannot be used.",
-                file=self.file,
                 where=f'column "{column}"',
                 found=self.withheld[column],
                 expected="values as they were measured, or scaled by a factor and an offset",
@@ -379,7 +394,6 @@ class ArrayTable:
         kinds = {"M": "dates", "c": "complex numbers"}
         raise RecordingError(
             "This column does not hold numbers.",
-            file=self.file,
             where=f'column "{column}"',
             found=kinds.get(values.dtype.kind, str(values.dtype)),
             expected="real numbers",
@@ -396,7 +410,6 @@ class ArrayTable:
             if number is None:
                 raise RecordingError(
                     "There is text in a column of numbers.",
-                    file=self.file,
                     where=self.place(row, column),
                     found=repr(shortened(text)),
                     expected="a number, or an empty cell for a lost sample",
@@ -456,7 +469,7 @@ def is_called_time(name: str) -> bool:
 
 
 def table_of_groups(
-    file: Path, groups: Sequence[Group], *, always_prefixed: bool = False, one_origin: bool = False
+    groups: Sequence[Group], *, always_prefixed: bool = False, one_origin: bool = False
 ) -> ArrayTable:
     """All columns of all groups, each with the clock of its group (``time``, or a column called
     time).
@@ -492,7 +505,7 @@ def table_of_groups(
         clock = TIME if TIME in columns else next(increasing, None) if len(groups) > 1 else None
         if clock is not None:
             clocks |= dict.fromkeys(full.values(), full[clock])
-    return ArrayTable(str(file), arrays, units, clocks, withheld, one_origin=one_origin)
+    return ArrayTable(arrays, units, clocks, withheld, one_origin=one_origin)
 
 
 def _text(value: object) -> str:

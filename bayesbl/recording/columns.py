@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +20,14 @@ from bayesbl.recording.channels import (
     or_another_name,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
+from bayesbl.units import (
+    accepted_units,
+    choice_of_units,
+    conversion_factor,
+    is_accepted,
+    is_unit,
+    spelled,
+)
 
 _BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
 _BOUNDARY = re.compile(r"^|(?<=[\s_/,:;|.-])|(?<=[a-z]{2})(?=[A-Z])")
@@ -28,11 +36,14 @@ _NUMBER_FIRST = re.compile(r"[x×*]?\s*(\d+)(?![\d/]*min)([^\s_A-Za-z]*)")
 _BY_TIME = re.compile(r"\S+/(?:s|sec|min)|(?:s|sec|min)\^?-1")
 _QUESTIONS = frozenset(
     "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
-    "digits pu erpm percent pct permille cycles kmh kph mph mps mmps ips".split()
+    "digits step steps pu erpm percent pct permille cycles kmh kph mph mps mmps ips cdeg ddeg "
+    "cps ozin inoz lbin inlb lbft ftlb kgcm kgfcm gcm".split()
 )
-"""Words for units whose size only the user knows."""
+"""Words for units that are none here, or whose size only the user knows."""
 
-_OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m n kn kg kgf lbf units".split())  # noqa: SIM905
+_OTHER_UNITS = _QUESTIONS | frozenset(
+    "v mv kv ka apk u r gon mm cm m ft in oz lb n kn kg kgf lbf units".split()  # noqa: SIM905
+)
 """In brackets, also units of other quantities, or of unknown size."""
 
 _LENGTHS = frozenset("m mm cm km in inch ft".split())  # noqa: SIM905
@@ -88,7 +99,6 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
     if len(tied) > 1:
         raise RecordingError(
             "These columns were not sampled together.",
-            file=table.file,
             where=", ".join(f'"{name}"' for name in used),
             found=_listed(tuple(name for name in names if name in tied)) + " as their times",
             expected="columns of one joint, topic or group",
@@ -100,7 +110,6 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
     if len(channels) == 1:
         raise RecordingError(
             "No column but time has a known name.",
-            file=table.file,
             where="header",
             found=_listed(names),
             expected=f"at least one of {', '.join(CHANNELS)}; {or_another_name(table.file)}",
@@ -144,6 +153,8 @@ def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> Stat
     name = column if name is None else name
     scaled = _SCALED.search(name.strip())
     of_name = StatedUnit(name, None, scaled[0]) if scaled else _bracketed(name) or _ending(name)
+    if of_name.unit and (scaled := _SCALED.search(of_name.bare.strip())):  # n x10 [rpm]
+        of_name = replace(of_name, unit=None, unknown=f"{scaled[0]} {of_name.unit}")
     of_file = table.units.get(column, "").strip()
     if not re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
         return of_name
@@ -180,9 +191,10 @@ def _bracketed(name: str) -> StatedUnit | None:
         text = brackets[1].strip()
         words = re.findall(r"[^\W\d_]+", re.sub("0x[0-9a-f]+", "", text.lower()))
         meant = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
-        meant |= text.lower() in _OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
+        meant |= _plain(text) in _OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
+        meant |= len(words) > 1 and _OTHER_UNITS.issuperset(words)  # lbf·ft
         meant |= any(len(word) > 1 and is_unit(spelled(word)) for word in words)
-        if meant and (words or text in ("%", "‰", "°")):
+        if meant and (words or re.search("[%‰°]", text)):
             return StatedUnit(name[: brackets.start()] + name[brackets.end() :], None, text)
     return None
 
@@ -207,13 +219,19 @@ def _ending(name: str) -> StatedUnit:
             bare = re.sub(r"[\s_/,:;|.-]+(?:in[\s_]*)?$", "", name[:at])
             # Of "x/s" the x may be a unit that is none here, of "x_s" only s may be a unit.
             return StatedUnit(bare, unit, ending=f"/{text}" if name[:at].endswith("/") else text)
-    last = re.split(r"[\W_]+", name)[-1].lower()
+    last_two = re.split(r"[\W_]+", name)[-2:]
     if by_time := _BY_TIME.fullmatch(re.split(r"[\s_,:]", name)[-1]):
         return StatedUnit(name, None, by_time[0])
     words = {word for word in re.split(r"[\W_\d]+", name.lower()) if word}
     if words & COUNTED and words <= _COUNTERS_WORDS:
         return StatedUnit(name, None, "a count of samples")
-    return StatedUnit(name, None, last if last in _QUESTIONS else None)
+    endings = (_plain(" ".join(last_two)), last_two[-1].lower())  # oz-in, counts
+    return StatedUnit(name, None, next((e for e in endings if e in _QUESTIONS), None))
+
+
+def _plain(text: str) -> str:
+    """Small letters alone: ``p.u.`` and ``oz-in`` as ``pu`` and ``ozin``."""
+    return re.sub(r"[\W_]", "", text.lower())
 
 
 def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
@@ -221,7 +239,6 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
         raise RecordingError(
             "A column is mapped to a channel that does not exist."
             + did_you_mean(channel, (TIME, *CHANNELS)),
-            file=table.file,
             where=f"[columns] {channel}",
             found=f'"{channel}"',
             expected=f"one of {', '.join((TIME, *CHANNELS))}, or a torque's name ending in _nm",
@@ -236,12 +253,13 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
         raise RecordingError(
             f"{'[columns]' if spec.unit else 'The file'} states a unit that is not known for this "
             "channel.",
-            file=table.file,
             where=f'column "{spec.name}"',
             found=f'"{shortened(stated.unknown)}"',
             expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
     if spec.unit:
+        if table.units.get(spec.name, "").strip():
+            _require_agreement(stated_unit(table, spec.name).of(channel), channel, spec)
         return Column(spec.name, channel, spec.unit)
     column = Column(spec.name, channel, stated.unit)
     if column.factor == 1.0 or table.units.get(spec.name, "").strip():
@@ -250,11 +268,28 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
     return replace(column, note=note)
 
 
+def _require_agreement(of_file: StatedUnit, channel: str, spec: ColumnSpec) -> None:
+    """Refuse a plain unit beside another one that the file states, perhaps of a later export.
+
+    A unit in the column's name is part of what the configuration says already.
+    """
+    plain = accepted_units(channel)  # datetime says how numbers are written, not how large they are
+    if of_file.unit is None or spec.unit not in plain or spec.unit == "datetime":
+        return
+    sizes = [conversion_factor(channel, unit) for unit in (of_file.unit, spec.unit)]
+    if not math.isclose(*sizes):
+        raise RecordingError(
+            "[columns] and the file state different units.",
+            where=f'column "{spec.name}"',
+            found=f"{spec.unit} under [columns], {of_file.unit} in the file",
+            expected=f'unit = "{of_file.unit}", or unit = "1 {spec.unit}" if the file is wrong',
+        )
+
+
 def _missing_column(table: ArrayTable, wanted: str) -> RecordingError:
     names = table.columns
     return RecordingError(
         f'The column "{wanted}" is missing.{did_you_mean(wanted, names)}',
-        file=table.file,
         where="header",
         found=_listed(names),
         expected=f'a column "{wanted}", {or_another_name(table.file)}',

@@ -59,14 +59,20 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 _TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
 
 _REFERENCE = (
-    "ref reference set setpoint cmd command target desired demand nominal soll sp goal "
+    "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
+    "vorgabe consigne vcmd pcmd tcmd icmd "
     "action"  # of a policy, to the joint
 )
+_SETPOINT = re.compile(r"[^\W\d]\*\s*$|指令|给定")
+"""In names of setpoints: a star at the end (n*), and the Japanese and Chinese words."""
+
 _LOAD = "load link joint output out arm l wheel pendulum secondary external abtrieb"
 _MOTOR = "motor mot m antrieb"
 _BESIDE = (
     "error err deviation difference diff lag residual abweichung fehler temperature temp "
     "supply bus battery dc freq frequency term "
+    "limit limits lim max maximum min minimum peak rated nenn grenze grenzwert threshold "
+    "feedforward ff vorsteuerung "
     "ina"  # a monitor of the supply is called by its chip: INA219
 )
 """Words that mark another quantity beside a channel of that name."""
@@ -74,7 +80,13 @@ _BESIDE = (
 _ELECTRICAL = "electrical electric elec el elektrisch elektrische"
 """Electrical speeds and angles are those of the motor times its pole pairs."""
 
-_FILTERED = "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt"
+_FILTERED = (
+    "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt "
+    "estimated estimate est observer model simulated virtual geschätzt"
+)
+_OF_WINDING, _BY_SYMBOL = "d u v w alpha beta phase flux feldbildend", "id iu iv iw"
+"""Words of currents of one winding, or along the flux; id may also be the number of a node."""
+
 _CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"  # names of the groups of one joint's columns
 _LOAD_TORQUE = "load torque"  # no channel: for ramps, the torque at the output replaces the motor's
@@ -86,7 +98,7 @@ in a message or for axes."""
 _AXIS = re.compile(r"(?<![^\W_])(?:[aj]\d|ax[ie]s|achse|actual_qd?|qd?_act)", re.IGNORECASE)
 """Names of an axis or its joint, logged behind the gearbox: ``A1``, ``actual_qd_0``."""
 
-_NUMBER = re.compile(r"\d+")
+_TOKEN = re.compile(r"\d+|[^\W\d_]+")
 _STEMS = frozenset(
     word
     for words in (*_NAMES_OF.values(), _REFERENCE, _LOAD, _MOTOR, "ist act actual value wert")
@@ -94,6 +106,12 @@ _STEMS = frozenset(
     if len(word) > 2
 )
 """Words that compounds are made of."""
+
+_NO_JOINT = _STEMS.union(
+    *(words.split() for words in _NAMES_OF.values()),
+    f"{_SIDES} {_FILTERED} {_ELECTRICAL} {_BESIDE} rms raw".split(),
+)
+"""Words that distinguish sides of one joint, or values of one channel."""
 
 NO_UNIT = "no unit found: check it"  # reason for a unit that nothing in the file supports
 BY_ROS = "ROS logs in SI units (REP 103)"  # reason for the unit of a column named by a topic's path
@@ -138,6 +156,8 @@ _SHORTEST_S, _LONGEST_S = 0.5, 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SWITCHED = (MOTOR_SPEED, MOTOR_POSITION, MOTOR_CURRENT, MOTOR_TORQUE, LOAD_POSITION, _LOAD_TORQUE)
 """Measured channels, which are never yes or no: ``torque_enabled`` is no torque."""
+
+_TURNING, _DRIVEN = (MOTOR_SPEED, MOTOR_POSITION), (MOTOR_CURRENT, MOTOR_TORQUE)
 
 _SIDES_ALIKE = 2.5  # largest ratio of the torques of both directions of ramps
 _STANDSTILL_RPM = 1.0
@@ -320,7 +340,6 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         if increasing is None:
             raise RecordingError(
                 "No column looks like time.",
-                file=table.file,
                 where="header",
                 found=", ".join(f'"{name}"' for name in table.columns),
                 expected=f'a column "{TIME}", or another name for it under [columns]',
@@ -351,7 +370,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
     elif not ramps:
         guesses = _of_motor(guesses, chosen, held)
-    columns = tuple(guesses)
+    columns = tuple(_with_rivals(guesses, named))
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -389,7 +408,7 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     bare = [stated_unit(table, name).bare for name in table.columns]
     groups = [name.rpartition("/")[0] for name in bare]
     if not any(groups):
-        groups = _numbers_of_joints(table.columns)
+        groups = _names_of_joints(table)
     motors = {_without(group, _SIDES) for group in groups if _words(group) & {*_MOTOR.split()}}
     sides = [
         _SIDES if _without(group, _SIDES) in motors else f"{_REFERENCE} {_MOTOR} load"
@@ -407,7 +426,6 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     if joint is not None and chosen not in joints:
         raise RecordingError(
             "There is no such joint.",
-            file=table.file,
             where="--joint",
             found=shortened(joint),
             expected=known or "a joint with a column like joint_2/velocity",
@@ -415,7 +433,6 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     if joint is None and len(joints) > 1:
         raise RecordingError(
             "The file holds several joints.",
-            file=table.file,
             found=known,
             expected=f"one of them, e.g. --joint {shlex.quote(first)}",
         )
@@ -435,20 +452,33 @@ def _without(group: str, sides: str) -> str:
     return " ".join(part for part in parts if part)
 
 
-def _numbers_of_joints(names: Sequence[str]) -> list[str]:
-    """The number by which each name differs from similar ones; empty if they are too few."""
-    parts = [
-        {
-            (name[: digits.start()], name[digits.end() :]): digits[0]
-            for digits in _NUMBER.finditer(name)
-        }
-        for name in names
+def _names_of_joints(table: ArrayTable) -> list[str]:
+    """The number or word by which each name differs from similar ones; empty if they are too few.
+
+    Words, and numbers of two names, are joints if a current or torque has one of them too: of
+    "speed X", "speed Y" and "current Y", speed X is that of another joint.
+    """
+    tokens = [_TOKEN.findall(" ".join(_split(name))) for name in table.columns]
+    channels = [_channel(_named(table, name)) for name in table.columns]
+    places = [{(*t[:i], "", *t[i + 1 :]): word for i, word in enumerate(t)} for t in tokens]
+    times = Counter(place for each in places for place in each)
+    fewest = [
+        _FEWEST_JOINTS - bool(_TOPIC.match(name) or "[" in name or _AXIS.search(name))
+        for name in table.columns
     ]
-    times = Counter(part for each in parts for part in each)
-    fewest = [_FEWEST_JOINTS - bool(_TOPIC.match(n) or "[" in n or _AXIS.search(n)) for n in names]
+    own = [
+        next((word for place, word in each.items() if word.isdigit() and times[place] >= few), "")
+        for few, each in zip(fewest, places, strict=True)
+    ]
+    turning = [p for p, c in zip(places, channels, strict=True) if c in _TURNING]
+    times = Counter(place for each in turning for place in each)
+    words = {w for each in turning for place, w in each.items() if times[place] > 1}
+    words = {word for word in words if word.lower() not in _NO_JOINT}
+    driven = [t for t, c in zip(tokens, channels, strict=True) if c in _DRIVEN]
+    joints = {*own} - {""} or (words if any(words.intersection(t) for t in driven) else set())
     return [
-        next((number for part, number in each.items() if times[part] >= few), "")
-        for few, each in zip(fewest, parts, strict=True)
+        of_name or next((word for word in t if word in joints and c in _SWITCHED), "")
+        for of_name, t, c in zip(own, tokens, channels, strict=True)
     ]
 
 
@@ -664,7 +694,11 @@ def _channel(column: _Named) -> str | None:
     kind = kinds[0]
     if kind != TIME and column.is_called(_BESIDE):
         return None
-    if column.is_called(_REFERENCE):
+    is_named = column.is_called(_NAMES_OF[MOTOR_CURRENT])
+    no_torque = column.is_called(_OF_WINDING) or (column.is_called(_BY_SYMBOL) and not is_named)
+    if kind == MOTOR_CURRENT and no_torque:
+        return None
+    if column.is_called(_REFERENCE) or _SETPOINT.search(column.stated.bare):
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
     if column.is_called(_LOAD) and not column.is_called(_MOTOR):
         return {MOTOR_POSITION: LOAD_POSITION, MOTOR_TORQUE: _LOAD_TORQUE, TIME: TIME}.get(kind)
@@ -676,30 +710,48 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
 
     Filtered columns come last, as do single letters (``i``, ``n``), which may count samples.
     """
-    chosen: dict[str, _Named] = {}
-    exact = (TIME, *CHANNELS)
+    candidates = _candidates(named)
+    return {channel: columns[0] for channel, columns in candidates.items()}
 
-    def rank(column: _Named) -> tuple[bool, ...]:
-        counted, of_motor = bool(column.words & COUNTED), column.is_called(_MOTOR)
-        is_letter = max(map(len, column.words), default=0) == 1
-        return (
-            column.name not in exact,
-            counted,
-            column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
-            not of_motor,
-            is_letter,
-        )
 
-    for column in sorted(named, key=rank):
+def _candidates(named: Sequence[_Named]) -> dict[str, list[_Named]]:
+    """All columns that may be a channel, the likeliest first."""
+    candidates: dict[str, list[_Named]] = {}
+    for column in sorted(named, key=_rank):
         channel = _channel(column)
         if channel is None:
             continue
-        if channel != TIME and rank(column)[-1] and np.all(np.diff(column.values) == 1.0):
+        if channel != TIME and _rank(column)[-1] and np.all(np.diff(column.values) == 1.0):
             continue  # it counts the samples: 0, 1, 2, …
-        if channel in _SWITCHED and column.name not in exact and column.is_flag:
+        if channel in _SWITCHED and column.name not in (TIME, *CHANNELS) and column.is_flag:
             continue
-        chosen.setdefault(channel, column)
-    return chosen
+        candidates.setdefault(channel, []).append(column)
+    return candidates
+
+
+def _rank(column: _Named) -> tuple[bool, ...]:
+    return (
+        column.name not in (TIME, *CHANNELS),
+        bool(column.words & COUNTED),
+        column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
+        column.stated.unknown is not None,
+        not column.is_called(_MOTOR),
+        max(map(len, column.words), default=0) == 1,
+    )
+
+
+def _with_rivals(columns: Sequence[GuessedColumn], named: Sequence[_Named]) -> list[GuessedColumn]:
+    """A question for a channel of which no name says that another column is less likely."""
+    candidates, taken = _candidates(named), {column.name for column in columns}
+    doubted = [*columns]
+    for column in columns:
+        own = [c for c in candidates.get(column.channel, ()) if c.name == column.name]
+        others = [c for c in candidates.get(column.channel, ()) if c.name not in taken]
+        alike = [c.name for c in others if own and _rank(c) == _rank(own[0])]
+        if alike and column.channel in _SWITCHED:
+            asked = f'no name says why it should not be "{alike[0]}"; {column.reason}'
+            doubted = _changed(doubted, column.channel, reason=asked, doubted=True)
+    return doubted
 
 
 def _stated(
@@ -886,7 +938,6 @@ def _series(column: _Named) -> FloatArray:
             stamps_and_values(column.table, column.name)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
-            file=column.table.file,
             where=f'column "{column.name}"',
             found=f"{count} finite numbers in {column.values.size} samples",
             expected="a finite number in every sample",

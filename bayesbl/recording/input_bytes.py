@@ -52,21 +52,20 @@ def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> byt
     raise refusal(problem, file=path, found=actual, expected=expected)
 
 
-def require_memory(file: Path, size: float, what: str = "its content, unpacked") -> None:
+def require_memory(size: float, what: str = "its content, unpacked") -> None:
     """Refuse a recording above the limit before anything is allocated.
 
     ``size`` is in bytes, as the file declares it; ``what`` names the content in the message. Raises
     RecordingError.
     """
     if size > memory_bytes():
-        raise beyond_memory(file, f"{size / 1e6:.5g} MB ({what})")
+        raise beyond_memory(f"{size / 1e6:.5g} MB ({what})")
 
 
-def beyond_memory(file: Path, actual: str) -> UnavailableError:
+def beyond_memory(actual: str) -> UnavailableError:
     """The error for a recording that takes more memory than the limit."""
     return UnavailableError(
         "Reading this file takes too much memory.",
-        file=file,
         found=actual,
         expected=f"at most {memory_bytes() / 1e6:g} MB; record fewer channels or a shorter time, "
         f"or raise the limit by the environment variable {LIMIT_VARIABLE}",
@@ -109,11 +108,10 @@ def unpacked(path: Path, data: bytes) -> bytes:
     except (OSError, EOFError, zlib.error):
         raise RecordingError(
             "This file cannot be unpacked: it is damaged, or not packed by gzip.",
-            file=path,
             found=f"{len(data)} bytes",
             expected="a file packed by gzip",
         ) from None
-    require_memory(path, len(whole), "unpacked, or more")
+    require_memory(len(whole), "unpacked, or more")
     return whole
 
 

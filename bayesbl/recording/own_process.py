@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
-from pathlib import Path
 from typing import IO, TYPE_CHECKING
 from zipfile import BadZipFile
 
@@ -42,7 +41,7 @@ _IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")  # libraries' name for
 _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
 
 
-def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable:
+def parsed_apart(format_: formats.Format, data: bytes) -> ArrayTable:
     """The result of ``format_.read``, called in a process of its own.
 
     Raises RecordingError as the format does, or if the process dies, or takes longer than
@@ -53,7 +52,6 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
         "module": format_.module,
         "library": format_.library,
         "name": format_.name,
-        "file": str(file),
         "memory": memory_bytes() + int(1e6 * SPARE_MB),
     }
     with tempfile.TemporaryFile() as answer_file:
@@ -70,24 +68,22 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
         except subprocess.TimeoutExpired:
             raise UnavailableError(  # a quieter machine may end it
                 f"Reading this file as {format_.name} takes too long.",
-                file=file,
                 found=f"no end after {LONGEST_S:g} s",
                 expected=_WHOLE.format(kind=format_.name),
             ) from None
         answer_file.seek(0)
         with suppress(EOFError, ValueError, KeyError, TypeError, BadZipFile):
             return _received(answer_file)
-    raise _broken(format_.name, file, ended.returncode)
+    raise _broken(format_.name, ended.returncode)
 
 
-def _broken(kind: str, file: Path, status: int) -> RecordingError:
+def _broken(kind: str, status: int) -> RecordingError:
     actual = f"{signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
     # Of the machine, not of the file: no memory, or no room for what is read.
     passes = {-signal.SIGKILL: ", as where the system is out of memory", os.EX_IOERR: ", no room"}
     kept = UnavailableError if status in passes else RecordingError
     return kept(
         f"The library that reads {kind} breaks down on this file.",
-        file=file,
         found=actual + passes.get(status, ""),
         expected=_WHOLE.format(kind=kind),
     )
@@ -99,7 +95,7 @@ def answer(request: dict[str, object]) -> None:
     os.dup2(2, 1)  # what a library prints is no part of the answer
     with suppress(ValueError):
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    file, kind = Path(str(request["file"])), str(request["name"])
+    kind = str(request["name"])
     # Taken into account from here on: the file's bytes are part of what it takes.
     _limit(int(request["memory"]))  # type: ignore[call-overload]
     result: ArrayTable | UserError
@@ -108,20 +104,19 @@ def answer(request: dict[str, object]) -> None:
         # pandas and xarray import them where they are there; no reader needs them for that.
         with absent(*extras):
             data = sys.stdin.buffer.read()
-            table = formats.reader_of(str(request["module"]))(file, data)
+            table = formats.reader_of(str(request["module"]))(data)
         values = sum(column.size for column in table.arrays.values())
-        require_memory(file, len(data) + 8.0 * values, f"its bytes and {values} numbers")
+        require_memory(len(data) + 8.0 * values, f"its bytes and {values} numbers")
         result = table
     except UserError as error:
         result = error
     except MemoryError:
-        result = beyond_memory(file, f"more, reading it as {kind}")
+        result = beyond_memory(f"more, reading it as {kind}")
     except Exception as error:
         # Parsers let nearly everything out on a damaged file: KeyError, zlib.error, struct.error, …
         lines = _IN_MEMORY.sub("it", str(error)).strip().splitlines()
         result = RecordingError(
             f"The file cannot be read as {kind}.",
-            file=file,
             found=shortened(lines[0] if lines else type(error).__name__, 160),
             expected=_WHOLE.format(kind=kind),
         )
@@ -132,8 +127,8 @@ def answer(request: dict[str, object]) -> None:
         os._exit(os.EX_IOERR)
 
 
-_ERROR = ("problem", "file", "where", "found", "expected")
-_NAMED = ("file", "units", "clocks", "withheld", "repairs", "one_origin")
+_ERROR = ("problem", "where", "found", "expected")
+_NAMED = ("units", "clocks", "withheld", "repairs", "one_origin")
 
 
 def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:

@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.arguments import File, checked
-from bayesbl.errors import RecordingError, UnavailableError, shortened
+from bayesbl.errors import RecordingError, UnavailableError, naming, shortened
 from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import (
     CHANNELS,
@@ -43,7 +44,6 @@ from bayesbl.recording.repairs import (
     signed,
     told,
     unwrapped,
-    without_lost,
     without_strays,
 )
 from bayesbl.recording.types import FloatArray, Recording, Source
@@ -52,7 +52,7 @@ POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
 REFERENCES = (REFERENCE_SPEED, REFERENCE_POSITION)
 MINIMUM_SAMPLES = 16  # fewer samples are no recording for any task
 LATEST_START_S = 1e6  # a time that begins later (seconds since 1970) counts from its first stamp
-
+FASTEST_RPM = 2e4  # no motor of a joint is faster
 
 NO_MEASUREMENT = 1e15  # larger numbers, in any unit, diverged or mark missing values
 
@@ -90,13 +90,19 @@ def read_recording(
         increasing time, or lost more samples than can be bridged. The message names line and
         column.
     """
-    path = Path(path)
+    with naming(path):
+        return _recording(Path(path), name, columns or {}, even, timed)
+
+
+def _recording(
+    path: Path, name: str | None, columns: Mapping[str, ColumnSpec], even: bool, timed: bool
+) -> Recording:
     table, sha256 = _parsed(path)
-    if TIME not in (columns or {}) and not (timed and table.step_s is None):
+    if TIME not in columns and not (timed and table.step_s is None):
         table = table.numbered()
-    mapped = [spec.name for spec in (columns or {}).values()]
+    mapped = [spec.name for spec in columns.values()]
     table = table.at_shared_stamps(mapped, MOST_SPARED if even else math.inf)
-    time_column, *others = choose_columns(table, columns or {})
+    time_column, *others = choose_columns(table, columns)
     repairs = Counter(table.repairs)
     stamps, values = _values(table, time_column, others)
     table = table.without_values()
@@ -118,7 +124,8 @@ def read_recording(
         if column.channel in POSITIONS:
             values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
         elif column.channel not in REFERENCES:  # which may jump over half of all numbers
-            values[:, i] = signed(values[:, i], column.factor, repairs, called)
+            largest = FASTEST_RPM if column.channel == MOTOR_SPEED else math.inf
+            values[:, i] = signed(values[:, i], column.factor, repairs, called, largest)
         if column.channel not in REFERENCES:
             strays[i] = without_strays(values[:, i], repairs, called)
 
@@ -135,8 +142,7 @@ def read_recording(
         return table.place(int(rows[row]), others[column].name) + strays[column]
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
-        joined = bridge if even else without_lost
-        bridged = joined(path, time_s, values, place)
+        bridged = bridge(time_s, values, place, even=even)
         series = {column.channel: bridged.values[:, i] for i, column in enumerate(others)}
         new = new_values(series[MOTOR_SPEED]) if even and MOTOR_SPEED in series else None
     kept, slower = new or (slice(None), "")
@@ -165,8 +171,8 @@ def read_recording(
 
 def read_table(path: str | Path) -> ArrayTable:
     """Columns of a file before any mapping. RecordingError if it is no readable table."""
-    path = Path(path)
-    return _parsed(path)[0]
+    with naming(path):
+        return _parsed(Path(path))[0]
 
 
 def _values(
@@ -179,13 +185,18 @@ def _values(
     names = [column.name for column in others]
     table.samples_of([time_column.name, *names])
     stamps = table.timestamps(time_column.name)
+    kinds = ("numbers", "dates") if stamps is None else ("dates", "numbers")
+    is_other = time_column.unit not in (None, "s", "datetime")
+    if is_other if stamps is not None else time_column.unit == "datetime":
+        raise RecordingError(
+            "Time is not in the unit that was stated for it.",
+            where=f'column "{time_column.name}"',
+            found=kinds[0],
+            expected=f'{kinds[1]}, as unit = "{time_column.unit}" says',
+        )
     if stamps is None:
-        if time_column.unit == "datetime":
-            raise _wrong_time_unit(table, time_column, "numbers", "dates")
         stamps, values = stamps_and_values(table, time_column.name, names)
     else:
-        if time_column.unit not in (None, "s", "datetime"):
-            raise _wrong_time_unit(table, time_column, "dates", "numbers")
         values = table.numbers(names)
     # In place and by column: a long recording is a good part of the memory.
     stamps[~np.isfinite(stamps)] = np.nan
@@ -194,18 +205,6 @@ def _values(
             series *= column.factor
             series[~(np.abs(series) < NO_MEASUREMENT)] = np.nan
     return stamps, values
-
-
-def _wrong_time_unit(
-    table: ArrayTable, column: Column, actual: str, expected: str
-) -> RecordingError:
-    return RecordingError(
-        "Time is not in the unit that was stated for it.",
-        file=table.file,
-        where=f'column "{column.name}"',
-        found=actual,
-        expected=f'{expected}, as unit = "{column.unit}" says',
-    )
 
 
 def _seconds(
@@ -219,7 +218,6 @@ def _seconds(
         problem = "Time does not advance" if after == before else "Time runs backwards"
         raise RecordingError(
             f"{problem} ({backward.size} times in all; this is the first).",
-            file=table.file,
             where=table.place(int(rows[row]), column.name),
             found=f"{after:.12g} after {before:.12g}",
             expected="time that increases from each line to the next",
@@ -231,7 +229,6 @@ def _seconds(
     if not (np.isfinite(seconds[-1] - seconds[0]) and np.all(np.diff(seconds) > 0.0)):
         raise RecordingError(
             "Time cannot be counted in seconds.",
-            file=table.file,
             where=f'column "{column.name}"',
             found=f"from {time[0]:.6g} to {time[-1]:.6g}",
             expected="the time of a recording",
@@ -243,7 +240,7 @@ def _read_bytes(path: Path) -> bytes:
     data = input_or_refusal(path, UnavailableError, "an existing recording")
     if not data[:1000].strip() and not data.strip():
         raise RecordingError(
-            "The file is empty.", file=path, found=f"{len(data)} bytes", expected="a recording"
+            "The file is empty.", found=f"{len(data)} bytes", expected="a recording"
         )
     return data
 
@@ -261,22 +258,21 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
         sha256.update(other)
         data = of_two(data, other)
     if not format_.signatures:  # text is read by this package itself
-        return format_.read(path, data), sha256.hexdigest()
+        table = format_.read(data)
+        return replace(table, file=str(path)), sha256.hexdigest()
     if not format_.is_begun_by(data):
         raise RecordingError(
             f"The file cannot be read as {format_.name}.",
-            file=path,
             found=f"{len(data)} bytes that do not begin as such a file does",
             expected=f"a whole {format_.name} file, and the suffix of what the file holds",
         )
     if format_.library and find_spec(format_.library) is None:
         raise UnavailableError(
             f"Reading {format_.name} needs {format_.library}, which is not installed.",
-            file=path,
             found=f"no module {format_.library}",
             expected='pip install "bayesbl[formats]", or the recording as CSV',
         )
-    return parsed_apart(format_, path, data), sha256.hexdigest()
+    return replace(parsed_apart(format_, data), file=str(path)), sha256.hexdigest()
 
 
 def _beside(path: Path, places: Sequence[str]) -> bytes:
@@ -287,7 +283,6 @@ def _beside(path: Path, places: Sequence[str]) -> bytes:
         if len(found) > 1:
             raise RecordingError(
                 "Several files beside this one may belong to it.",
-                file=path,
                 found=shortened(", ".join(Path(file).name for file in found), 200),
                 expected=f"one of them, called {places[0].format(stem=stem_of(path))}",
             )
@@ -301,7 +296,6 @@ def _format_of(path: Path) -> Format:
     if suffix not in FORMATS:
         raise RecordingError(
             "Files of this kind cannot be read as recordings.",
-            file=path,
             found=f'"{path.suffix}"' if path.suffix else "no suffix",
             expected=" or ".join(FORMATS) + ", or one of these packed as .gz",
         )
@@ -312,7 +306,6 @@ def _check_length(table: ArrayTable, column: Column, stamps: int) -> None:
     if stamps < MINIMUM_SAMPLES:
         raise RecordingError(
             "The recording is too short.",
-            file=table.file,
             where=f'column "{column.name}"',
             found=f"{stamps} samples with a time",
             expected=f"at least {MINIMUM_SAMPLES}",
@@ -325,7 +318,6 @@ def _check_finite(table: ArrayTable, others: Sequence[Column], values: FloatArra
         if np.isnan(series).all():
             raise RecordingError(
                 "This column holds no number.",
-                file=table.file,
                 where=f'column "{column.name}"',
                 found=f"NaN, infinite or empty in all {len(values)} samples",
                 expected="a finite number in every sample",

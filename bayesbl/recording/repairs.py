@@ -15,7 +15,6 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,18 +129,8 @@ def at_shared_times(
     return np.flatnonzero(rows), values
 
 
-def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
-    """Samples with a value in every column; arguments as of :func:`bridge`."""
-    whole = ~np.isnan(values).any(axis=1)
-    lost = int(np.sum(~whole))
-    if whole.sum() < 2:
-        return bridge(file, time_s, values, place)  # which refuses it
-    notes = (f"{lost} of {whole.size} samples lack a value and are left out.",) if lost else ()
-    return Bridged(time_s[whole], values[whole], np.zeros(whole.size - lost, dtype=bool), notes)
-
-
-def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
-    """Bridge short runs of lost samples by straight lines.
+def bridge(time_s: FloatArray, values: FloatArray, place: Place, *, even: bool = True) -> Bridged:
+    """Bridge short runs of lost samples by straight lines, or leave them out if not ``even``.
 
     Lost samples at the ends are cut off, up to half of all, because a sensor may wake up late.
     ``time_s``, shape (n,), increases strictly; ``values``, shape (n, c), are NaN where missing.
@@ -153,16 +142,18 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     if kept.size < 2:
         raise RecordingError(
             "No two samples have a number in every column.",
-            file=file,
             found=f"{kept.size} of {whole.size} samples without a missing value",
             expected="columns that were recorded at the same times",
         )
+    if not even:
+        told = f"{whole.size - kept.size} of {whole.size} samples lack a value and are left out."
+        none_lost = np.zeros(kept.size, dtype=bool)
+        return Bridged(time_s[whole], values[whole], none_lost, (told,) * (kept.size < whole.size))
     first, last = int(kept[0]), int(kept[-1]) + 1
     cut = whole.size - (last - first)
     if cut > MOST_CUT * whole.size:
         raise RecordingError(
             "Most of the recording has no numbers, at its ends.",
-            file=file,
             found=f"{whole.size - cut} of {whole.size} samples between the first and the last "
             "that have a number in every column",
             expected=f"at least {100.0 * (1.0 - MOST_CUT):g} %; rename a column that is not needed",
@@ -195,7 +186,7 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
         if missing.any()
         else f"after {place(int(row[rows.start - 1]), None)}"
     )
-    _refuse_too_much(file, lost, float(lengths[longest]), where)
+    _refuse_too_much(lost, float(lengths[longest]), where)
     full = np.full((lost.size, values.shape[1]), np.nan)
     full[at] = values
     for column in full.T:
@@ -209,12 +200,11 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     return Bridged(full_time, full, lost, (*notes, note))
 
 
-def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) -> None:
+def _refuse_too_much(lost: BoolArray, longest_s: float, where: str) -> None:
     share = lost.mean()
     if longest_s > LONGEST_LOSS_S:
         raise RecordingError(
             "Samples are missing for too long.",
-            file=file,
             where=where,
             found=f"nothing for {longest_s:.4g} s",
             expected=f"at most {LONGEST_LOSS_S:g} s in a row; use the part before or after",
@@ -222,7 +212,6 @@ def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) 
     if share > MOST_LOST:
         raise RecordingError(
             "Too many samples are missing.",
-            file=file,
             where=f"longest {where}",
             found=f"{lost.sum()} of {lost.size} samples, {100.0 * share:.3g} %",
             expected=f"at most {100.0 * MOST_LOST:g} %; rename a column that is not needed",
@@ -460,11 +449,14 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     return whole
 
 
-def signed(values: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:
+def signed(
+    values: FloatArray, unit: float, repairs: Counter[str], name: str, largest: float = math.inf
+) -> FloatArray:
     """Restore the signs of whole numbers, shape (n,), that were written as unsigned words.
 
     A bus servo writes −300 as 33068 (sign in the highest of 16 bits) or as 65236 (complement).
-    Numbers are then near 0 and near half or all of the word, with none between.
+    Numbers are then near 0 and near half or all of the word, with none between; or all near all of
+    it, if nothing else is so large, as no number of 32 bits and no channel above ``largest``.
     """
     there = np.isfinite(values)
     written = values[there] / unit
@@ -473,10 +465,13 @@ def signed(values: FloatArray, unit: float, repairs: Counter[str], name: str) ->
         return values
     for word in _WORDS:
         quarters = np.unique(counts // (word / 4.0)).tolist()
-        if quarters in ([0.0, 2.0], [0.0, 3.0]):
+        only_negative = quarters == [3.0] and (
+            word == _WORDS[-1] or abs(unit) * counts.min() > largest
+        )
+        if quarters in ([0.0, 2.0], [0.0, 3.0]) or only_negative:
             high = counts >= word / 2.0
             signs = word / 2.0 - counts[high] if 2.0 in quarters else counts[high] - word
-            if -signs.max() > counts[~high].max():
+            if not only_negative and -signs.max() > counts[~high].max():
                 break  # large beside all others: a speed beside a standstill
             counts[high] = signs
             repairs[f"sign of the {name} in an unsigned word"] += int(high.sum())

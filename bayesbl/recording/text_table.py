@@ -31,7 +31,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise, zip_longest
-from pathlib import Path
 
 import numpy as np
 
@@ -39,6 +38,7 @@ from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import (
     LONGEST_TEXT,
     MISSING,
+    SCALES,
     AnyArray,
     ArrayTable,
     decimal_mark,
@@ -50,6 +50,7 @@ from bayesbl.recording.array_table import (
     number_in,
     numbered,
     parted,
+    require_one_mark,
 )
 from bayesbl.recording.channels import MOTOR_SPEED, TIME
 from bayesbl.recording.input_bytes import require_memory
@@ -65,7 +66,6 @@ text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
-_SCALES = r"scal|skal|fa[ck]tor|offset|gain|multiplier"
 _STEP = re.compile(
     r"\W*(?:(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate)|abtast\w*"
     r"|delta.?x|[xt].?inc|x?.?increment|d[tx]"
@@ -149,14 +149,13 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _unit_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
+def _unit_of(rows: Sequence[Sequence[str]], column: int) -> str:
     """The unit that the cells state. RecordingError if several: values differ in scale."""
     cells = [row[column] for row in rows if column < len(row)]
     units = {parted(cell)[1] for cell in cells if is_value(cell)}
     if len(units) > 1:
         raise RecordingError(
             "The cells of a column are in different units.",
-            file=file,
             where=f"column {column + 1}",
             found=" and ".join(sorted(unit or "none" for unit in units)),
             expected="one unit for the whole column, in its name",
@@ -165,7 +164,6 @@ def _unit_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
 
 
 def layout_of(
-    file: Path,
     head: Sequence[str],
     middle: Sequence[str],
     lines: int,
@@ -185,14 +183,13 @@ def layout_of(
     if width > max(MOST_COLUMNS, lines):
         raise RecordingError(
             "The file has more columns than lines: is it transposed?",
-            file=file,
             found=f"{width} columns",
             expected="a column for each channel and a line for each sample",
         )
     head = _joined(head)
     written = [i for i, line in enumerate(head) if line.strip()]
     if not written:
-        raise NoTable("The file is empty.", file=file, found="nothing", expected=EXPECTED)
+        raise NoTable("The file is empty.", found="nothing", expected=EXPECTED)
     cut = [_split(line, separator) for line in head]
     first = None
     if len(values) >= fewest:
@@ -200,7 +197,7 @@ def layout_of(
         empty = [i for i, cells in enumerate(zip(*samples, strict=True)) if not any(cells)]
         first = _first_sample([cut[i] for i in written[: MOST_ABOVE + 1]], values, empty)
     if first is None:
-        raise _no_table(file, [head[i] for i in written], is_binary)
+        raise _no_table([head[i] for i in written], is_binary)
     # Some loggers end each line of samples with a separator, but not the header.
     trailing = all(line.rstrip().endswith(separator) for line in middle) and separator != " "
     above = written[:first]
@@ -216,18 +213,20 @@ def layout_of(
     heading = _header_of(above_cells, {width, width - 1} if trailing else {width})
     rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     numbers = [row[i] for row in rows for i in values if i < len(row)]
-    mark = mark or decimal_mark(file, numbers)
-    stated = tuple(_unit_of(file, rows, k) if k in values else "" for k in range(width))
+    mark = mark or decimal_mark(numbers)
+    for k in values:
+        require_one_mark([row[k] for row in rows if k < len(row)], mark)
+    stated = tuple(_unit_of(rows, k) if k in values else "" for k in range(width))
     labels = _of_key(_LABELS, above_cells, width)
     if heading is None and any(labels):
         heading = len(above) - 1, ("",) * width, ()
     if heading is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
-        return layout_of(file, head, middle, lines, (" ",))  # tabs among spaces
+        return layout_of(head, middle, lines, (" ",))  # tabs among spaces
     begin = written[first]
     if heading is None:
         nearest = cut[above[-1]] if above else []
         if len(nearest) > 1 and not any(map(is_number, nearest)):
-            raise _of_other_width(file, begin, width, len(nearest))
+            raise _of_other_width(begin, width, len(nearest))
         unnamed = [f"column {i + 1}" for i in range(width)]
         words = [i for i in range(values[-1]) if i not in values]
         alternate = len(words) > 1 and words == [*range(words[0], values[-1], 2)]
@@ -240,7 +239,7 @@ def layout_of(
         return Layout(separator, names, mark, stated, begin=begin, step_s=step_s)
     last, names, units = heading
     units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells, width)
-    scales = _of_key(_SCALES, above_cells, width)
+    scales = _of_key(SCALES, above_cells, width)
     scales = tuple(cell if cell not in ("0", "1") else "" for cell in scales)
     if any(scales):  # which may have been applied or not
         both = zip_longest(units, scales[: len(names)], fillvalue="")
@@ -331,7 +330,7 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
             match = _STEP.match(cell)
             for held in (match["value"], *row[i + 1 : i + 2], *below[i : i + 1]) if match else ():
                 number, unit = parted(held.translate(dict.fromkeys(map(ord, "[]()"))))
-                value = number_in(number, decimal_mark(Path(), [number]))
+                value = number_in(number, decimal_mark([number]))
                 if value and value > 0.0 and match is not None:
                     channel, usual = (MOTOR_SPEED, "Hz") if match["rate"] else (TIME, "s")
                     unit = spelled(unit or match["unit"] or usual)
@@ -400,33 +399,25 @@ def _value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
     return values, share
 
 
-def _of_other_width(file: Path, index: int, cells: int, expected: int) -> RecordingError:
+def _of_other_width(index: int, cells: int, expected: int) -> RecordingError:
     return RecordingError(
         "This line does not have one cell for each column.",
-        file=file,
         where=f"line {index + 1}",
         found=f"{cells} cells",
         expected=f"{expected}, as in the header",
     )
 
 
-def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTable:
+def _no_table(lines: Sequence[str], is_binary: bool = False) -> NoTable:
     """The error for a text without a table; it quotes nothing, as a name may lead to any file."""
-    if is_binary:
-        actual = "binary data"
-    elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
-        return NoTable(
-            "The file has a header but no sample.",
-            file=file,
-            found="a header only",
-            expected=EXPECTED,
-        )
-    else:
-        actual = "no lines with a number in two columns or more"
-    return NoTable("This is not a CSV file.", file=file, found=actual, expected=EXPECTED)
+    if len(lines) == 1 and not is_binary and any(mark in lines[0] for mark in _SEPARATORS[:3]):
+        problem, found = "The file has a header but no sample.", "a header only"
+        return NoTable(problem, found=found, expected=EXPECTED)
+    found = "binary data" if is_binary else "no lines with a number in two columns or more"
+    return NoTable("This is not a CSV file.", found=found, expected=EXPECTED)
 
 
-def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
+def table_of_text(text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
     """The samples below the header, and counts of what is left out.
 
     ``control``: characters removed before. Raises RecordingError if there is no sample, another
@@ -439,15 +430,15 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
     incomplete: list[tuple[int, int]] = []
     rows, index, held = 0, 0, 0
     for block in _blocks(text):
-        require_memory(file, len(text) + 2.0 * held, f"{rows} lines, or more")
+        require_memory(len(text) + 2.0 * held, f"{rows} lines, or more")
         if index - rows > rows + _MOST_SKIPPED:
-            raise _no_table(file, [])
+            raise _no_table([])
         lines = block[max(0, layout.begin - index) :]
         first = index + len(block) - len(lines)
         index += len(block)
         read = _quickly(lines, layout)
         if read is None:
-            cut = _cut(file, lines, first, layout, counts, incomplete)
+            cut = _cut(lines, first, layout, counts, incomplete)
             places.append(np.array(list(cut), dtype=np.int64))
             columns = zip(*cut.values(), strict=True) if cut else ()
             units = (*layout.units, *[""] * width)
@@ -463,9 +454,9 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
         counts[_INCOMPLETE] -= 1
         counts["cut last line left out"] += 1
     if counts[_INCOMPLETE] > MOST_INCOMPLETE * rows:
-        raise _of_other_width(file, *incomplete[0], width)
+        raise _of_other_width(*incomplete[0], width)
     if not rows:
-        raise _no_table(file, [])
+        raise _no_table([])
     arrays: dict[str, AnyArray] = {}
     for name, part in zip(layout.names, parts, strict=True):
         is_text = any(values.dtype.kind != "f" for values in part)
@@ -474,9 +465,7 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
     stated = {n: u for n, u in zip(layout.names, layout.units, strict=False) if u}
     repairs = {kind: count for kind, count in counts.items() if count > 0}
     numbers = np.concatenate(places) + 1
-    return _with_one_clock(
-        ArrayTable(str(file), arrays, stated, {}, {}, repairs, numbers, layout.step_s)
-    )
+    return _with_one_clock(ArrayTable(arrays, stated, {}, {}, repairs, numbers, layout.step_s))
 
 
 def _with_one_clock(table: ArrayTable) -> ArrayTable:
@@ -527,7 +516,6 @@ def _quickly(lines: list[str], layout: Layout) -> FloatArray | None:
 
 
 def _cut(
-    file: Path,
     lines: Sequence[str],
     first: int,
     layout: Layout,
@@ -560,7 +548,6 @@ def _cut(
         elif len(cells) == width and set(cells) & set(layout.names):
             raise RecordingError(
                 "There is another header among the samples.",
-                file=file,
                 where=f"line {index + 1}",
                 found=shortened(", ".join(cells)),
                 expected="one table in a file, its columns in one order",
@@ -593,7 +580,13 @@ _FORMS = tuple(
     for form in (rf"{_NAME}\s+{_STAMP}", rf"{_STAMP}\s+{_NAME}", rf"(?P<stamp>{_DATE})(?P<name>)")
 )
 _VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
-_KEY = re.compile(r"tag|name|signal|variable|field|joint|axis|achse|motor_?id|node", re.IGNORECASE)
+_KEY = re.compile(
+    r"(?:tag|name|signal|variable|field|joint|axis|achse|motor_?id|node)"
+    r"(?:[\s_.]*(?:id|no|nr|name|number|nummer|index|\d+))?\W*$",
+    re.IGNORECASE,
+)
+"""End of the name of a column that names what a line is of: not axis 1.SetVelo."""
+
 _MOST_NAMES = 64
 TIMES = 13.0  # memory, in sizes of the file, for a log or export whose cells are texts first
 _LONGEST_EVENT = 1000
@@ -613,7 +606,7 @@ _PAIR = re.compile(
 )
 
 
-def in_cells(file: Path, text: bytes, head: Sequence[str]) -> ArrayTable | None:
+def in_cells(text: bytes, head: Sequence[str]) -> ArrayTable | None:
     """A text whose lines name their values as a table: of events, or of pairs of name and value.
 
     ::
@@ -627,14 +620,14 @@ def in_cells(file: Path, text: bytes, head: Sequence[str]) -> ArrayTable | None:
         names, count = Counter(map(tuple, rows)).most_common(1)[0] if rows else ((), 0)
         if len(names) < 2 or count < max(2, _ALIKE * len(written)):
             continue
-        require_memory(file, TIMES * len(text), "events")
+        require_memory(TIMES * len(text), "events")
         read = ((_row(form, line), line) for line in lines_of(text))
         cells = [
             [*r.values()] if tuple(r) == names else ["-"[: len(line.strip())]] for r, line in read
         ]
-        units = tuple(_unit_of(file, cells, column) for column in range(len(names)))
+        units = tuple(_unit_of(cells, column) for column in range(len(names)))
         layout = Layout("\t", names, units=units)
-        return table_of_text(file, "\n".join(map("\t".join, cells)).encode(), layout)
+        return table_of_text("\n".join(map("\t".join, cells)).encode(), layout)
     return None
 
 
@@ -743,4 +736,4 @@ def _of_events(
         else:
             arrays |= {name + key: np.where(late, np.nan, v[last]) for key, v in columns.items()}
     units = {name: unit for name, unit in table.units.items() if name == clock}
-    return ArrayTable(table.file, arrays, units, repairs=repairs)
+    return ArrayTable(arrays, units, repairs=repairs)

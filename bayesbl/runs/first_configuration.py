@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bayesbl.config.loading import require_text_names
 from bayesbl.config.sections import name_of, names_of
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, naming
 from bayesbl.recording.formats import FORMATS
 from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
@@ -59,7 +59,8 @@ def start_config(
     require_apart([path], files)
     require_new(path, "configuration", force)
     table, *_ = [read_table(file) for file in recordings]
-    guess = guess_columns(table, joint)
+    with naming(first):
+        guess = guess_columns(table, joint)
     write_text(config_text(files, path, guess), path)
     return path, guess
 

@@ -408,7 +408,7 @@ def test_no_text_takes_long_or_large_memory(
 BREAKING = """
 import ctypes, os, sys, time
 
-def read(file, data):
+def read(data):
     {act}
 """
 ACTS = {

@@ -49,6 +49,12 @@ def test_an_inventory_is_read_with_its_own_columns(plant):
     assert first.group("cell") == "A"
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_an_inventory_may_have_the_separator_of_another_region(plant, separator):
+    (plant / "joints.csv").write_text(JOINTS.replace(",", separator))
+    assert [joint.name for joint in read_joints(section(plant))] == ["R1-J2", "R1-J3"]
+
+
 def test_recordings_of_an_object_store_are_refused_in_words(plant):
     with pytest.raises(ConfigError, match="Recordings are files"):
         section(plant, 'recordings = "s3://plant/{joint}/{date}.csv"')

@@ -9,8 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from struct import pack
 
+import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording import text_table
@@ -1998,3 +2000,227 @@ def test_a_can_log_without_times_is_refused_for_that(tmp_path):
 
 
 CAN_COLUMNS = {"motor_speed_rpm": "MotorSpeed", "motor_current_a": "MotorCurrent"}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "joints"),
+    [
+        ("{what} {joint} [{unit}]", ("X", "Y")),
+        ("{joint} {what} ({unit})", ("left", "right")),
+        ("drive {joint}.{what} [{unit}]", ("A", "B")),
+        ("{what}_{joint} [{unit}]", ("1", "2")),
+    ],
+)
+def test_a_current_of_another_joint_is_never_taken(
+    pattern: str, joints: tuple[str, str], tmp_path: Path
+) -> None:
+    """Two speeds, and the current of the second joint alone."""
+    first, second = joints
+    named = [("speed", first, "rpm"), ("speed", second, "rpm"), ("current", second, "A")]
+    header = [pattern.format(what=what, joint=j, unit=u) for what, j, u in named]
+    rows = [f"{i / 1000},{n:.6g},{-n:.6g},{0.001 * n:.6g}" for i, n in enumerate(SPEED)]
+    content = "\n".join(["time_s," + ",".join(header), *rows])
+    with pytest.raises(RecordingError, match=f"several joints. Found: {first}, {second}"):
+        guess_of(tmp_path, content)
+    assert set(guess_of(tmp_path, content, first)) == {"time_s", "motor_speed_rpm"}
+    assert guess_of(tmp_path, content, second)["motor_current_a"].name == header[2]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "torque x10 [Nm]",
+        "torque_ozin",
+        "Torque_lbft",
+        "torque_kgcm",
+        "torque oz-in",
+        "T (lbf·ft)",
+        "torque [0.1%]",
+        "torque (p.u.)",
+    ],
+)
+def test_a_torque_in_a_unit_that_is_none_here_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{i / 1000},{n:.6g},{0.01 * n:.6g}" for i, n in enumerate(SPEED)]
+    path.write_text("\n".join([f"time_s,motor_speed_rpm,{name}", *rows]))
+    with pytest.raises(RecordingError, match="not known for this channel"):
+        read_recording(path, columns={"motor_torque_nm": ColumnSpec(name)})
+
+
+def test_newton_millimetres_are_a_unit(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{i / 1000},{n:.6g},{n:.6g}" for i, n in enumerate(SPEED)]
+    path.write_text("\n".join(["time_s,motor_speed_rpm,torque (N mm)", *rows]))
+    read = read_recording(path, columns={"motor_torque_nm": ColumnSpec("torque (N mm)")})
+    np.testing.assert_allclose(read.channels["motor_torque_nm"], 1e-3 * SPEED, rtol=1e-5)
+
+
+def test_a_scale_in_an_attribute_is_a_question(tmp_path: Path) -> None:
+    """Of HDF5, whose readers do not apply it; NetCDF's do."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["time_s"] = np.arange(SPEED.size) / 1000
+        file["motor_speed_rpm"] = 10.0 * SPEED
+        file["motor_speed_rpm"].attrs.update(units="rpm", scale_factor=0.1)
+    with pytest.raises(RecordingError, match=r'Found: "rpm \(scale_factor 0.1\)"'):
+        read_recording(path)
+    with h5py.File(path, "a") as file:
+        file["motor_speed_rpm"].attrs.update(scale_factor=1.0, add_offset=0.0)
+    assert read_recording(path).motor_speed_rpm[3] == 10.0 * SPEED[3]
+
+
+SPEED_NAME, CURRENT_NAME, TORQUE_NAME = "motor_speed_rpm", "motor_current_a", "motor_torque_nm"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "channel"),
+    [
+        ("n* [rpm]", "n [rpm]", SPEED_NAME),
+        ("VelDem (rpm)", "VelFbk (rpm)", SPEED_NAME),
+        ("speed limit [rpm]", "speed [rpm]", SPEED_NAME),
+        ("estimated speed [rpm]", "speed [rpm]", SPEED_NAME),
+        ("Id [A]", "Iq [A]", CURRENT_NAME),
+        ("i_d [A]", "i_q [A]", CURRENT_NAME),
+        ("current phase U [A]", "current q [A]", CURRENT_NAME),
+        ("peak current [A]", "current [A]", CURRENT_NAME),
+        ("torque feedforward [Nm]", "torque [Nm]", TORQUE_NAME),
+        ("VCMD [1/min]", "TSA [1/min]", SPEED_NAME),
+        ("指令速度 [r/min]", "モータ速度 [r/min]", SPEED_NAME),
+        ("Stromistwert feldbildend [A]", "Stromistwert momentenbildend [A]", CURRENT_NAME),
+        ("Motor current [%]", "Motor current [A]", CURRENT_NAME),
+    ],
+)
+def test_another_quantity_of_the_same_unit_is_not_taken(
+    wrong: str, right: str, channel: str, tmp_path: Path
+) -> None:
+    """Whichever comes first."""
+    for names in ((wrong, right), (right, wrong)):
+        rows = [f"{i / 1000},{n:.6g},{0.9 * n:.6g}" for i, n in enumerate(SPEED)]
+        guess = guess_of(tmp_path, "\n".join([f"t [s],{','.join(names)}", *rows]))
+        assert guess[channel].name == right
+
+
+def test_the_current_of_a_winding_is_no_motor_current(tmp_path: Path) -> None:
+    rows = [f"{i / 1000},{n:.6g},{0.9 * n:.6g}" for i, n in enumerate(SPEED)]
+    assert CURRENT_NAME not in guess_of(tmp_path, "\n".join(["t [s],n [rpm],Iu [A]", *rows]))
+
+
+def test_of_two_speeds_that_no_name_distinguishes_one_is_doubted(tmp_path: Path) -> None:
+    rows = [f"{i / 1000},{n:.6g},{0.9 * n:.6g}" for i, n in enumerate(SPEED)]
+    header = "t [s],master speed [rpm],slave speed [rpm]"
+    speed = guess_of(tmp_path, "\n".join([header, *rows]))[SPEED_NAME]
+    assert speed.doubted
+    assert '"slave speed [rpm]"' in speed.reason
+    header = "t [s],motor speed [rpm],output speed [rpm]"
+    assert not guess_of(tmp_path, "\n".join([header, *rows]))[SPEED_NAME].doubted
+
+
+@pytest.mark.parametrize("marks", [",.", ".,"])
+def test_a_time_with_another_decimal_mark_than_the_values_is_a_question(
+    marks: str, tmp_path: Path
+) -> None:
+    """12.345 s beside 1500,25 rpm would be 12345 s, in thousands."""
+    of_time, of_values = marks
+    rows = [
+        f"{12 + i / 1000:.3f}".replace(".", of_time) + ";" + f"{n:.2f}".replace(".", of_values)
+        for i, n in enumerate(SPEED)
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time_s;motor_speed_rpm", *rows]))
+    with pytest.raises(RecordingError, match=r"may be a decimal .* or part thousands"):
+        read_recording(path)
+
+
+def test_a_workbook_that_shows_per_cent_holds_shares(tmp_path: Path) -> None:
+    import openpyxl
+
+    path = tmp_path / "a.xlsx"
+    book = openpyxl.Workbook()
+    book.active.append(["time_s", "motor_speed_rpm", "torque [%]"])
+    for t, n in PAIRS:
+        book.active.append([float(t), float(n), 0.45])
+        book.active.cell(book.active.max_row, 3).number_format = "0.0%"
+    book.save(path)
+    columns = {"motor_torque_nm": ColumnSpec("torque [%]", "% of 10 N m")}
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.channels["motor_torque_nm"], 4.5)
+
+
+def test_only_a_clock_is_the_time_of_an_mdf_group(tmp_path: Path) -> None:
+    """Not the angle of a measurement that is synchronous to a shaft."""
+    import asammdf
+
+    path = tmp_path / "a.mf4"
+    with asammdf.MDF(version="4.10") as file:
+        file.append(asammdf.Signal(SPEED, TIME, name="n", unit="rpm", master_metadata=("phi", 2)))
+        file.save(path)
+    assert "time_s" not in read_table(path).columns
+
+
+def test_the_unit_of_a_tdms_axis_is_not_always_seconds(tmp_path: Path) -> None:
+    import nptdms
+
+    path = tmp_path / "a.tdms"
+    step = {"wf_increment": 1.0, "wf_xunit_string": "ms"}
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment([nptdms.ChannelObject("log", NAMES[1], SPEED, properties=step)])
+    assert read_recording(path).sampling_period_s == pytest.approx(1e-3)
+    with nptdms.TdmsWriter(path) as file:
+        step["wf_xunit_string"] = "Hz"
+        file.write_segment([nptdms.ChannelObject("log", NAMES[1], SPEED, properties=step)])
+    with pytest.raises(RecordingError, match=r'not known for this channel.*Found: "Hz"'):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_a_recording_in_reverse_alone_may_be_of_unsigned_words(bits: int, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    whole = np.round(SPEED).astype(int)
+    rows = [f"{i / 1000},{2**bits - n}" for i, n in enumerate(whole)]
+    path.write_text("\n".join([",".join(NAMES), *rows]))
+    read = read_recording(path)
+    np.testing.assert_array_equal(read.motor_speed_rpm, -whole)
+    assert "sign of the motor speed" in read.notes[0]
+    # Counts may be as many, of a speed that is not so large.
+    counts = {"motor_speed_rpm": ColumnSpec(NAMES[1], "rev/s/4096")}
+    read = read_recording(path, columns=counts)
+    assert (float(read.motor_speed_rpm.mean()) > 0.0) == (bits == 16)
+
+
+def test_a_unit_of_columns_is_not_put_over_another_one_in_the_file(tmp_path: Path) -> None:
+    """As of an export whose settings changed since the configuration was written."""
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{t},{n}" for t, n in PAIRS], "Time,Speed\ns,rad/s"))
+    columns = {"time_s": ColumnSpec("Time", "s"), "motor_speed_rpm": ColumnSpec("Speed", "rpm")}
+    with pytest.raises(RecordingError, match=r"different units.*rpm under .* rad/s in the file"):
+        read_recording(path, columns=columns)
+    columns["motor_speed_rpm"] = ColumnSpec("Speed", "1 rpm")
+    np.testing.assert_array_equal(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+    columns["motor_speed_rpm"] = ColumnSpec("Speed", "120 rad/s")
+    assert read_recording(path, columns=columns).motor_speed_rpm[0] > 100.0 * SPEED[0]
+
+
+def test_a_structure_with_name_data_and_unit_is_a_column(tmp_path: Path) -> None:
+    """As dSPACE stores it, and as a JSON file may."""
+    signals = [
+        {"Name": "t", "Data": TIME, "Unit": "s"},
+        {"Name": "omega", "Data": SPEED / RPM_PER_RAD_PER_S, "Unit": "rad/s"},
+    ]
+    path = tmp_path / "a.mat"
+    savemat(path, {"log": {"X": signals[0], "Y": signals}})
+    columns = {"time_s": ColumnSpec("X.t"), "motor_speed_rpm": ColumnSpec("Y(2).omega")}
+    np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+    path = tmp_path / "a.json"
+    omega = {"unit": "rad/s", "values": (SPEED / RPM_PER_RAD_PER_S).tolist()}
+    path.write_text(json.dumps({"t": TIME.tolist(), "omega": omega}))
+    columns = {"time_s": ColumnSpec("t"), "motor_speed_rpm": ColumnSpec("omega/values")}
+    np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+
+
+def test_a_constant_setpoint_of_an_axis_names_nothing(tmp_path: Path) -> None:
+    """Beside a column called value, it looked like a tag on each line."""
+    header = "Time,Axis 1.NcToPlc.ActVelo,Axis 1.NcToPlc.SetVelo,Drive 1.Torque actual value"
+    rows = [f"{t},{n},1490,{0.01 * n}" for t, n in PAIRS]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([header, *rows]))
+    assert read_table(path).columns == tuple(header.split(","))

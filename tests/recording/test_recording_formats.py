@@ -172,8 +172,10 @@ def test_a_unit_that_the_file_states_is_used_and_the_users_goes_before(tmp_path:
     path = write_netcdf(tmp_path / "recording.nc", PLAIN, motor_speed_rpm="rad/s", time_s="seconds")
     stated = read_recording(path)
     np.testing.assert_allclose(stated.motor_speed_rpm, SPEED * 30.0 / np.pi, rtol=1e-12)
-    mine = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("motor_speed_rpm", "rpm")})
+    mine = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("motor_speed_rpm", "1 rpm")})
     np.testing.assert_array_equal(mine.motor_speed_rpm, SPEED)
+    with pytest.raises(RecordingError, match="different units"):
+        read_recording(path, columns={"motor_speed_rpm": ColumnSpec("motor_speed_rpm", "rpm")})
 
 
 def test_matrices_and_structures_are_named_as_matlab_names_them(tmp_path: Path) -> None:
@@ -436,8 +438,8 @@ import numpy as np
 from bayesbl.recording.array_table import ArrayTable
 
 
-def read(file, data):
-    return ArrayTable(str(file), dict(np.load(io.BytesIO(data)).items()))
+def read(data):
+    return ArrayTable(dict(np.load(io.BytesIO(data)).items()))
 """
 
 
@@ -482,6 +484,7 @@ def test_a_japanese_trace_is_read_in_its_own_encoding(tmp_path: Path, encoding: 
     assert {c.channel: c.name for c in guess.columns} == {
         "time_s": "時間(s)",
         "motor_speed_rpm": "モータ速度(r/min)",
+        "reference_speed_rpm": "速度指令(r/min)",
     }
 
 

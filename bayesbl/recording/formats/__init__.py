@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesbl.recording.hdf5 import SIGNATURES
@@ -41,15 +40,15 @@ class Format:
         )
 
     @property
-    def read(self) -> Callable[[Path, bytes], ArrayTable]:
-        """The function that turns path and bytes into named columns."""
+    def read(self) -> Callable[[bytes], ArrayTable]:
+        """The function that turns bytes into named columns."""
         return reader_of(self.module)
 
 
-def reader_of(module: str) -> Callable[[Path, bytes], ArrayTable]:
+def reader_of(module: str) -> Callable[[bytes], ArrayTable]:
     """The function ``read`` of a module, or the named one: ``.csv:read_diadem``."""
     name, _, function = module.partition(":")
-    reader: Callable[[Path, bytes], ArrayTable]
+    reader: Callable[[bytes], ArrayTable]
     reader = getattr(import_module(name, __name__), function or "read")
     return reader
 

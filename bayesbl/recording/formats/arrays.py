@@ -2,15 +2,16 @@
 
 Vectors of either orientation become columns, named as MATLAB names them: ``rec.speed`` for the
 field of a structure, ``data(:,2)`` for a column of a matrix. The name of an only structure is left
-out. A signal stored by Simulink's scope has the name of its label.
+out. A signal stored by Simulink's scope has the name of its label, one stored by dSPACE that of its
+name, and its unit.
 """
 
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -18,7 +19,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.array_table import AnyArray, ArrayTable
+from bayesbl.recording.array_table import SCALES, AnyArray, ArrayTable, is_bare_number
 from bayesbl.recording.formats import RESULT_MARK
 from bayesbl.recording.hdf5 import SIGNATURE, SIGNATURES, require_whole
 
@@ -29,7 +30,7 @@ _NUMERIC = frozenset(
 )
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """Numeric vectors, columns of matrices and fields of structures.
 
     Raises RecordingError if there is no vector, or an HDF5 file refers to values outside of it.
@@ -37,7 +38,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
     units: dict[str, str] = {}
     if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
-        variables = _hdf5_variables(file, data, units)
+        variables = _hdf5_variables(data, units)
     elif data.startswith(b"PK"):
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             variables = dict(archive)
@@ -47,34 +48,43 @@ def read(file: Path, data: bytes) -> ArrayTable:
     if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
         units = {name.partition(".")[2]: unit for name, unit in units.items()}
         variables = only
-    arrays = dict(_columns(variables))
+    arrays = dict(_columns(variables, units))
     if not arrays:
         raise RecordingError(
             "The file holds no vector of numbers.",
-            file=file,
             found=", ".join(f'"{name}"' for name in variables) or "nothing",
             expected="a vector for each channel; save the columns of tables and timetables as such",
         )
-    return ArrayTable(str(file), arrays, {name: u for name, u in units.items() if name in arrays})
+    return ArrayTable(arrays, {name: u for name, u in units.items() if u and name in arrays})
 
 
 def _columns(
-    variables: Mapping[str, Any], prefix: str = "", depth: int = 0
+    variables: Mapping[str, Any], units: dict[str, str], prefix: str = "", depth: int = 0
 ) -> Iterator[tuple[str, AnyArray]]:
     for name, value in variables.items():
         if isinstance(value, dict):
-            if "values" in value and isinstance(label := value.get("label"), str):
-                yield from _columns({label: value["values"]}, f"{prefix}{name}.")
+            parts = {key.lower(): part for key, part in value.items()}
+            data, label = (
+                next((parts[key] for key in keys if key in parts), None)
+                for keys in (("values", "data"), ("label", "name"))
+            )
+            path = f"{prefix}{name}."
+            if isinstance(data, np.ndarray) and isinstance(label, str) and label:
+                if isinstance(unit := parts.get("unit", parts.get("units")), str):
+                    units[path + label] = unit
+                yield from _columns({label: data}, units, path)
             elif depth < _DEEPEST:
-                yield from _columns(value, f"{prefix}{name}.", depth + 1)
+                yield from _columns(value, units, path, depth + 1)
         elif isinstance(value, list):  # of structures
             places = enumerate(value[:_MOST_COLUMNS], start=1)
             structures = {f"{name}({i})": each for i, each in places if isinstance(each, dict)}
-            yield from _columns(structures, prefix, depth)
+            yield from _columns(structures, units, prefix, depth)
         elif not isinstance(value, np.ndarray) or (value.dtype.kind == "V" and value.size < 2):
             continue  # a single value, or an object of a class
         elif value.dtype.names is not None:
-            yield from _columns({key: value[key] for key in value.dtype.names}, prefix, depth)
+            yield from _columns(
+                {key: value[key] for key in value.dtype.names}, units, prefix, depth
+            )
         elif value.dtype.kind == "O":
             if all(isinstance(cell, str) or np.size(cell) == 0 for cell in value.flat):
                 # A cell array of text: time stamps, perhaps.
@@ -86,8 +96,8 @@ def _columns(
                 yield f"{prefix}{name}(:,{column + 1})", value[:, column]
 
 
-def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str, Any]:
-    require_whole(data, partial(RecordingError, file=file))
+def _hdf5_variables(data: bytes, units: dict[str, str]) -> dict[str, Any]:
+    require_whole(data, partial(RecordingError))
 
     def variables(group: Any, depth: int, prefix: str = "") -> dict[str, Any]:
         by_name: dict[str, Any] = {}
@@ -107,15 +117,23 @@ def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str,
             if kind in (None, *_NUMERIC) and are_numbers and not empty:
                 # MATLAB stores by columns, others by rows.
                 by_name[name] = np.asarray(item[()]) if kind is None else np.asarray(item[()]).T
-                for key in {"unit", "units"} & {*item.attrs}:
-                    units[prefix + name] = str(np.asarray(item.attrs[key]).astype("U"))
+                units[prefix + name] = _unit_of(item.attrs)
         return by_name
 
     with h5py.File(io.BytesIO(data), "r") as stored:
         return variables(stored, 0)
 
 
-def read_netcdf(file: Path, data: bytes) -> ArrayTable:
+def _unit_of(attributes: Mapping[str, Any]) -> str:
+    """The unit that attributes state. A scale makes it a question, as it may have been applied."""
+    names = [n for n in attributes if re.fullmatch(f"(?i)units?|.*(?:{SCALES}).*", n)]
+    text = {name.lower(): str(np.asarray(attributes[name]).astype("U")) for name in names}
+    unit = text.pop("unit", text.pop("units", ""))
+    scales = [f"{n} {v}" for n, v in text.items() if is_bare_number(v) and float(v) not in (0, 1)]
+    return f"{unit} ({', '.join(scales)})".strip() if scales else unit
+
+
+def read_netcdf(data: bytes) -> ArrayTable:
     """One-dimensional variables of the root group, with units and decoded calendar times.
 
     Raises RecordingError if the file refers to values outside of it, or is a result of ours.
@@ -124,12 +142,11 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     import xarray as xr
 
     if SIGNATURE in data[:2056]:
-        require_whole(data, partial(RecordingError, file=file))
+        require_whole(data, partial(RecordingError))
     stored = netCDF4.Dataset("recording", memory=data)
     if RESULT_MARK in stored.ncattrs():
         raise RecordingError(
             "This is a result of bayesbl, not a recording.",
-            file=file,
             expected="a file of measured channels; `bayesbl inspect` prints a result",
         )
     store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
@@ -141,4 +158,4 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
             for name, variable in chosen.items()
             if "units" in variable.attrs
         }
-    return ArrayTable(str(file), arrays, units)
+    return ArrayTable(arrays, units)

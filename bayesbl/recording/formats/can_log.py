@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import timedelta
 from itertools import accumulate, pairwise
-from pathlib import Path
 from typing import Any
 
 import can
@@ -28,7 +27,7 @@ _HEAD = 20_000
 _VECTOR_FRAME = re.compile(r"(?im)^\s*\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s")
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """The signals of each message in physical units, which the DBC file states.
 
     Raises RecordingError without a DBC file, without times, or without a frame of one of its
@@ -41,7 +40,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
     messages = {(m.frame_id, m.is_extended_frame): m for m in database.messages}
     rows: dict[tuple[Any, ...], list[tuple[float, dict[str, float]]]] = {}
     repairs: Counter[str] = Counter()
-    for time, bus, number, content in _frames(file, log) if dbc else ():
+    for time, bus, number, content in _frames(log) if dbc else ():
         if number not in messages:
             continue
         try:
@@ -53,7 +52,6 @@ def read(file: Path, data: bytes) -> ArrayTable:
     if not rows:
         raise RecordingError(
             "This is a log of raw CAN frames.",
-            file=file,
             found="none of a message in its DBC file" if dbc else "no DBC file beside it",
             expected="a DBC file with the names, scales and units of what is in its frames, of the "
             "same name, or the only one in the folder",
@@ -64,10 +62,10 @@ def read(file: Path, data: bytes) -> ArrayTable:
         columns = {name: np.array([values[name] for _, values in those], float) for name in names}
         units = {s.name: s.unit or "" for s in message.signals if s.name in columns}
         groups.append(Group(message.name, columns, np.array([time for time, _ in those]), units))
-    return replace(table_of_groups(file, groups, one_origin=True), repairs=repairs)
+    return replace(table_of_groups(groups, one_origin=True), repairs=repairs)
 
 
-def _frames(file: Path, log: bytes) -> Iterator[tuple[float, object, tuple[int, bool], bytes]]:
+def _frames(log: bytes) -> Iterator[tuple[float, object, tuple[int, bool], bytes]]:
     """Yield time in s, bus, (identifier, whether it is extended) and content of each data frame."""
     text = log.decode("latin-1").removeprefix("\xef\xbb\xbf")
     is_binary = log.startswith(b"LOGG")
@@ -83,7 +81,6 @@ def _frames(file: Path, log: bytes) -> Iterator[tuple[float, object, tuple[int, 
     if None in stamps:
         raise RecordingError(
             "These CAN frames have no times.",
-            file=file,
             found="lines of candump without a time",
             expected="a log of `candump -L` or `candump -tz`",
         )

@@ -17,7 +17,6 @@ import codecs
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
@@ -53,7 +52,7 @@ _HEAD_LINES = 400
 _LONGEST_LINE = 4_000_000
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """Read a table, a log of events, or an export of TwinCAT Scope.
 
     Raises RecordingError if the bytes are not text, or hold no table or no sample. Nothing is
@@ -63,25 +62,23 @@ def read(file: Path, data: bytes) -> ArrayTable:
         part = data[begin : begin + _LONGEST_LINE]
         if len(part) == _LONGEST_LINE and b"\n" not in part and b"\r" not in part:
             actual = f"a line of more than {_LONGEST_LINE // 1_000_000} MB"
-            raise RecordingError(
-                "This is not a CSV file.", file=file, found=actual, expected=EXPECTED
-            )
-    text, control = _in_utf8(file, data)
+            raise RecordingError("This is not a CSV file.", found=actual, expected=EXPECTED)
+    text, control = _in_utf8(data)
     head = list(islice(lines_of(text), _HEAD_LINES))
     if _is_scope_export("\n".join(head)):
-        require_memory(file, TIMES * len(data), "cells of text")
-        return _read_scope_export(file, list(lines_of(text)))
-    if (table := in_cells(file, text, head)) is None:
-        layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
-        table = table_of_text(file, text, layout, control)
+        require_memory(TIMES * len(data), "cells of text")
+        return _read_scope_export(list(lines_of(text)))
+    if (table := in_cells(text, head)) is None:
+        layout = layout_of(head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
+        table = table_of_text(text, layout, control)
     return in_columns(table)
 
 
-def _in_utf8(file: Path, data: bytes) -> tuple[bytes, int]:
+def _in_utf8(data: bytes) -> tuple[bytes, int]:
     """The text in UTF-8 with uniform line ends, and the number of control characters removed."""
     encoding = _encoding(data)
     copies = 3.0 if encoding != "utf-8" else 2.0 if b"\r" in data else 1.0
-    require_memory(file, copies * len(data), "a text and its copy in UTF-8")
+    require_memory(copies * len(data), "a text and its copy in UTF-8")
     if encoding != "utf-8":
         data = data.decode(encoding, "replace").encode()
     if b"\r" in data:
@@ -133,7 +130,7 @@ def _is_scope_export(text: str) -> bool:
     return bool(_SCOPE_BEGIN.match(text)) and bool(_SCOPE_LINE.search(text[:100_000]))
 
 
-def _read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
+def _read_scope_export(lines: Sequence[str]) -> ArrayTable:
     """All channels; units only where no scale makes them ambiguous.
 
     Raises RecordingError if there are no channels with times, or text among the times.
@@ -148,7 +145,6 @@ def _read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
     if width < 2 or not any(b - a > 1 for a, b in zip(starts, [*starts[1:], width], strict=True)):
         raise RecordingError(
             "This export of TwinCAT Scope has no channels.",
-            file=file,
             where=f"line {above}",
             found=shortened(", ".join(known["Name"])),
             expected="a line of channels' names with a column of times before each group",
@@ -159,7 +155,7 @@ def _read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
     names = numbered([TIME if i in starts else name for i, name in enumerate(known["Name"])])
     units = [time if i in starts else _scope_unit(known, i) for i in range(width)]
     layout = Layout(separator, tuple(names), units=tuple(units))
-    return table_of_text(file, "\n".join(body).encode(), layout)
+    return table_of_text("\n".join(body).encode(), layout)
 
 
 def _padded_lines(lines: Sequence[str], separator: str, width: int) -> Iterator[str]:
@@ -186,11 +182,11 @@ def _scope_unit(known: Mapping[str, Sequence[str]], column: int) -> str:
 _DIADEM_CHANNEL = b"#BEGINCHANNELHEADER"
 
 
-def read_diadem(file: Path, data: bytes) -> ArrayTable:
+def read_diadem(data: bytes) -> ArrayTable:
     """Channels of a header and of the samples beside it. RecordingError if some are missing."""
     header, samples = two_of(data)
     if _DIADEM_CHANNEL not in header:
-        return read(file, header)
+        return read(header)
     channels = [_diadem_values(part) for part in header.split(_DIADEM_CHANNEL)[1:]]
     are_stored = [not c.get(210, "").upper().startswith("IMPL") for c in channels]
     stored = sum(are_stored)
@@ -199,8 +195,7 @@ def read_diadem(file: Path, data: bytes) -> ArrayTable:
     if count < 1 or not stored or values.size < count * stored:
         raise RecordingError(
             "The samples of this header are not all there.",
-            file=file,
-            found=f"{values.size} numbers in {file.stem}.r64 beside it",
+            found=f"{values.size} numbers in the .r64 file beside it",
             expected=f"{stored} channels of {count} samples, 64-bit floats",
         )
     interleaved = values[: count * stored].reshape(count, stored)
@@ -221,7 +216,7 @@ def read_diadem(file: Path, data: bytes) -> ArrayTable:
         arrays[name] = offset + factor * raw
         if channel.get(202, "").strip("[] "):
             units[name] = channel[202].strip("[] ")
-    return ArrayTable(str(file), arrays, units)
+    return ArrayTable(arrays, units)
 
 
 def _diadem_values(part: bytes) -> dict[int, str]:

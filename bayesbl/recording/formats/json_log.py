@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ _LONGEST_LIST = 64
 _DEEPEST = 6
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """The longest table in the file. RecordingError if it is no JSON, or has no numbers."""
 
     text = data.decode("utf-8-sig")
@@ -36,13 +35,13 @@ def read(file: Path, data: bytes) -> ArrayTable:
             raise
         content = [json.loads(line) for line in text.splitlines() if line.strip()]
     columns: dict[str, list[Any]] = {}
-    for name, values in _columns("", content, 0):
+    units: dict[str, str] = {}
+    for name, values in _columns("", content, 0, units):
         columns.setdefault(name, values)
     longest = max((len(values) for values in columns.values()), default=0)
     if longest < 2:
         raise RecordingError(
             "The file holds no series of numbers.",
-            file=file,
             found=f"{len(columns)} lists" if columns else "no list",
             expected="a list for each channel, or a list of records",
         )
@@ -51,7 +50,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
         for name, values in columns.items()
         if len(values) == longest
     }
-    return ArrayTable(str(file), arrays)
+    return ArrayTable(arrays, {name: unit for name, unit in units.items() if name in arrays})
 
 
 def _named(content: dict[str, Any]) -> dict[str, Any]:
@@ -65,30 +64,35 @@ def _named(content: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
-def _columns(name: str, content: Any, depth: int) -> Iterator[tuple[str, list[Any]]]:
-    """Every list of plain values, with the path of names to it."""
+def _columns(
+    name: str, content: Any, depth: int, units: dict[str, str]
+) -> Iterator[tuple[str, list[Any]]]:
+    """Every list of plain values, with the path of names to it; ``units`` gains those beside it."""
     if depth > _DEEPEST or not content:
         return
     if isinstance(content, list) and len(content) == 1 and isinstance(content[0], (dict, list)):
-        yield from _columns(name, content[0], depth + 1)
+        yield from _columns(name, content[0], depth + 1, units)
     elif isinstance(content, dict) and len(content) > _LONGEST_LIST and "0" in content:
         # by pandas' index
-        yield from _columns(name, [*content.values()], depth)
+        yield from _columns(name, [*content.values()], depth, units)
     elif isinstance(content, dict):
         content = _named(content)
+        unit = content.get("unit", content.get("units"))
         for key, value in content.items():
-            yield from _columns(f"{name}/{key}" if name else str(key), value, depth + 1)
+            if isinstance(value, list) and isinstance(unit, str):
+                units[f"{name}/{key}" if name else str(key)] = unit
+            yield from _columns(f"{name}/{key}" if name else str(key), value, depth + 1, units)
     elif isinstance(content, list):
         kinds = {type(value) for value in content}
         if dict in kinds:
             keys = dict.fromkeys(k for v in content if isinstance(v, dict) for k in v)
             for key in keys:
                 of_key = [v.get(key) if isinstance(v, dict) else None for v in content]
-                yield from _columns(f"{name}/{key}" if name else str(key), of_key, depth + 1)
+                yield from _columns(f"{name}/{key}" if name else str(key), of_key, depth + 1, units)
         elif list in kinds:
             width = max(len(v) for v in content if isinstance(v, list))
             for i in range(width if width <= _LONGEST_LIST else 0):
                 of_place = [v[i] if isinstance(v, list) and len(v) > i else None for v in content]
-                yield from _columns(f"{name or 'column'}[{i}]", of_place, depth + 1)
+                yield from _columns(f"{name or 'column'}[{i}]", of_place, depth + 1, units)
         else:
             yield name or "column", content

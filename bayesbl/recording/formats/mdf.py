@@ -7,13 +7,13 @@ here. A channel with another conversion is withheld with the name of that conver
 from __future__ import annotations
 
 import io
-from pathlib import Path
 from typing import Any
 
 import asammdf
 import numpy as np
 
 from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, numbered, table_of_groups
+from bayesbl.recording.channels import TIME
 
 _NAMES_4 = {
     3: "a formula", 4: "a table", 5: "a table", 6: "a table of ranges", 7: "a table of text",
@@ -26,11 +26,11 @@ _NAMES_3 = {
 """Nonlinear conversions by their number in MDF 4 and MDF 3."""
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """Every one-dimensional channel, in physical units if its conversion is linear."""
     with asammdf.MDF(io.BytesIO(data)) as stored:
         groups = [_group(stored, number) for number in range(len(stored.groups))]
-        return table_of_groups(file, groups, one_origin=True)
+        return table_of_groups(groups, one_origin=True)
 
 
 def _scale(conversion: Any) -> tuple[float, float, str]:
@@ -59,6 +59,8 @@ def _group(stored: Any, number: int) -> Group:
     for channel in channels:
         channel.conversion = None  # from here on asammdf has nothing to evaluate
     master = stored.masters_db.get(number)
+    if master is not None and getattr(channels[master], "sync_type", 1) not in (0, 1):
+        master = None  # an angle, a distance or a number of the sample
     time, withheld = None, ""
     if master is not None:
         factor, offset, withheld = scales[master]
@@ -83,12 +85,14 @@ def _group(stored: Any, number: int) -> Group:
                 columns[name] = np.where(signal.invalidation_bits, np.nan, columns[name])
         else:
             columns[name] = samples
+    stated = {name: units[index] for name, index in zip(names, others, strict=True)}
+    stated[TIME] = "" if master is None else units[master]
     acquired = getattr(stored.groups[number].channel_group, "acq_name", "")
     return Group(
         acquired or f"group {number + 1}",
         columns,
         None if withheld else time,
-        {name: units[index] for name, index in zip(names, others, strict=True) if units[index]},
+        stated,
         reasons,
     )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from bayesbl.recording.input_bytes import two_of
 _LONGEST_LIST = 64
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """All columns, including an index stored by pandas.
 
     Elements of lists are named by joint as in LeRobot's ``meta/info.json``: ``shoulder_pan.pos`` of
@@ -38,12 +37,12 @@ def read(file: Path, data: bytes) -> ArrayTable:
     episodes = arrays.get("episode_index", np.zeros(0)) if info else np.zeros(0)
     starts = np.flatnonzero(np.diff(episodes)) + 1
     if not starts.size:
-        return ArrayTable(str(file), arrays)
+        return ArrayTable(arrays)
     groups = []
     for begin, end in pairwise([0, *starts.tolist(), episodes.size]):
         columns = {name: values[begin:end] for name, values in arrays.items()}
         groups.append(Group(f"episode_{episodes[begin]}", columns, columns.pop("timestamp", None)))
-    return table_of_groups(file, groups)
+    return table_of_groups(groups)
 
 
 def _names_of_elements(info: bytes) -> dict[str, list[str]]:

@@ -21,6 +21,7 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 _JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """For a rotary joint, by the definition of JointState."""
 
+_SUFFIXES = {b"\x89MCAP": ".mcap", b"SQLite": ".db3", b"#ROSBAG": ".bag"}
 _LONGEST_ARRAY = 100
 _DEEPEST = 6
 
@@ -56,19 +57,20 @@ class _Bytes:
         return self.name
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """``JOINT/velocity`` of JointState and ``TOPIC/FIELD`` of other messages, each with its clock.
 
     Time is the header's stamp minus the first one of the group. Without stamps, ``received_s`` has
     the times of recording, which a network makes uneven.
     """
-    path = _Bytes(file.name.removesuffix(".gz").lower(), data)
+    suffix = next(kind for mark, kind in _SUFFIXES.items() if data.startswith(mark))
+    path = _Bytes(f"recording{suffix}", data)
     # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
     store = get_typestore(Stores.ROS2_HUMBLE)
     with AnyReader([path], default_typestore=store) as reader:
         series = _series(reader)
     groups = _groups(series)
-    return table_of_groups(file, groups, always_prefixed=True)
+    return table_of_groups(groups, always_prefixed=True)
 
 
 class _Rows:

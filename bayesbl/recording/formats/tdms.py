@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import nptdms
 import numpy as np
 
 from bayesbl.recording.array_table import ArrayTable, Group, table_of_groups
+from bayesbl.recording.channels import TIME
 
 _UNITS = ("unit_string", "NI_UnitDescription")
 
 
-def read(file: Path, data: bytes) -> ArrayTable:
+def read(data: bytes) -> ArrayTable:
     """Every channel; ``GROUP/NAME`` if two groups have the same name."""
     stored = nptdms.TdmsFile.read(io.BytesIO(data))
     channels = [channel for group in stored.groups() for channel in group.channels()]
@@ -23,7 +23,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
     dated = all(isinstance(start, np.datetime64) for start in starts)
     first = min(starts) if dated and starts else None
     groups = [part for group in stored.groups() for part in _groups(group, first)]
-    return table_of_groups(file, groups, one_origin=first is not None)
+    return table_of_groups(groups, one_origin=first is not None)
 
 
 def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
@@ -56,8 +56,11 @@ def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
         for key in _UNITS
         if key in channel.properties
     }
+    along = {n: str(c.properties.get("wf_xunit_string", "")) for n, c in channels.items()}
     for clock in [*kinds, None]:
         held = {name: columns[name] for name in columns if clocks.get(name) == clock}
         if held:
             time = None if clock is None else clock[0] + clock[2] + clock[3] * np.arange(clock[4])
-            yield Group(str(group.name), held, time, {n: units[n] for n in held if n in units})
+            stated = {name: units.get(name, "") for name in held}
+            stated[TIME] = next((along[name] for name in held if name in along), "")
+            yield Group(str(group.name), held, time, stated)
