@@ -34,10 +34,8 @@ from bayesbl.recording.types import (
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, table
 from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
-from bayesbl.two_encoders.model import SAME_RATIO
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
-from bayesbl.two_encoders.transmission import Transmission, fit_transmission, hidden_rad
-from bayesbl.two_encoders.windup import PLAY_RAD
+from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission, hidden_rad
 
 NAME = "two_encoders"
 
@@ -61,6 +59,9 @@ ALIASED = 0.9
 RESTS = 0.2
 """Probability that weight keeps a load on one flank, if neither a torque nor the user says. A
 judgement."""
+
+SAME_RATIO = 0.1
+"""ln of what a gear ratio differs from another by, that it may be."""
 
 TOO_WIDE = 0.05
 """Upper bound of δ over the travel: above it nothing was told of the play."""

@@ -44,10 +44,6 @@ STILL = 0.02
 REVERSAL = 0.02
 """Of the motor's travel: a turning back by less is none."""
 
-WAY_SHARES, ONE_SPEED = (0.1, 0.9), 0.8
-"""Shares of the way, up to which it is travelled more slowly than at some speed; the share of those
-speeds that calls them one."""
-
 HOLE = 5.0
 """Sampling periods without a sample, from which nothing is known in between."""
 
@@ -130,19 +126,6 @@ class Paths:
         """Times that the motor turned back."""
         least = REVERSAL * float(np.ptp(self.motor_rad))
         return max(len(turning_points(self.motor_rad, least)) - 2, 0)
-
-    @property
-    def has_one_speed(self) -> bool:
-        """Whether nearly all of the way is travelled at one speed."""
-        speed = np.sort(np.abs(self.binned(self.speed)))
-        way = np.cumsum(speed)
-        slow, fast = np.interp(WAY_SHARES, way / way[-1], speed)
-        return bool(slow > ONE_SPEED * fast)
-
-    @property
-    def usual_speed(self) -> float:
-        """Standard deviation of the motor's, at the load."""
-        return float(np.std(self.binned(self.speed)))
 
     @property
     def typical_acceleration(self) -> float:

@@ -9,10 +9,18 @@ from places import ROOT
 import bayesbl
 from bayesbl.measurement.two_encoder_route import upper_bound_rad
 from bayesbl.recording.types import MOTOR_TORQUE
-from bayesbl.two_encoders.model import Noise, Scaling
 from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
-from bayesbl.two_encoders.transmission import _model, fit_transmission
-from bayesbl.two_encoders.windup import FRICTION_SPREAD, LOGITS, drawn_parts, of_friction
+from bayesbl.two_encoders.transmission import (
+    FRICTION_SPREAD,
+    LOGITS,
+    Noise,
+    Scaling,
+    _model,
+    drawn_parts,
+    fit_transmission,
+    has_one_speed,
+    of_friction,
+)
 
 DATA = ROOT.parent / "shared" / "data"
 PLAY, RATIO, SKEW_S = 6e-3, 50.0, 2e-3
@@ -460,21 +468,11 @@ def test_a_wide_gap_is_seen_even_if_it_was_taken_for_drift_before():
     hand = np.sin(2.0 * np.pi * 0.23 * time) + 0.4 * np.sin(2.0 * np.pi * 0.31 * time)
     load = hand + 1e-4 * np.random.default_rng(7).standard_normal(time.size)
     goes_home = np.sign(hand) * np.maximum(np.abs(hand) - half, 0.0)
-    model = _model(Channels(time, goes_home, load), Scaling(1.0, 1.0, stated=True))
+    model = _model(Channels(time, goes_home, load), Scaling(1.0, 1.0, True))
     freely = next(k for k, course in enumerate(model.courses) if course.free)
     model.measure_lag(model.fitted(0, 0.0, Noise(1e-3, 0.2, 2.0, 1e-3))[1])
     noise, cell = model.fitted(freely, half, Noise(1e-3, 0.2, 2.0, 1e-3))
     assert cell.log_evidence > model.fitted(0, 0.0, noise)[1].log_evidence
-
-
-def test_a_stated_ratio_holds_where_a_hand_and_a_wide_play_make_another_seem_right():
-    """The load moves as far as the motor's shaft, as it would with a ratio of about one."""
-    ratio, half, time = 3.6, 0.3, 0.01 * np.arange(4000)
-    hand = 0.25 * np.sin(2.0 * np.pi * 0.23 * time) + 0.12 * np.sin(2.0 * np.pi * 0.31 * time)
-    motor = np.sign(hand) * np.maximum(np.abs(hand) - half, 0.0)
-    load = hand + 1e-4 * np.random.default_rng(7).standard_normal(time.size)
-    found = fitted(Channels(time, ratio * motor, load), ratio)
-    assert np.median(found.draws["gear_ratio"]) == pytest.approx(ratio, rel=0.01)
 
 
 def test_a_wide_lag_that_no_course_follows_is_not_told_as_none():
@@ -545,7 +543,7 @@ def test_only_a_motion_to_and_fro_at_a_constant_speed_has_one_speed():
     time = np.arange(0.0, 12.0, 1e-2)
     angle = 2.0 * np.pi * time / 3.0
     for path, is_one in ((np.arcsin(np.sin(angle)), True), (np.sin(angle), False)):
-        assert scaled_paths(Channels(time, path, path), 1.0).has_one_speed is is_one
+        assert has_one_speed(scaled_paths(Channels(time, path, path), 1.0)) is is_one
 
 
 def test_a_load_that_turns_further_than_the_motor_is_a_question(tmp_path):
