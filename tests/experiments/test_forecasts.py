@@ -41,7 +41,7 @@ def test_a_true_law_never_falls_and_one_without_chance_ends_at_the_limit(study, 
 def test_a_case_has_all_its_columns_and_a_limit_that_is_ahead(study, law):
     row = row_of(study, law, (2, 4))
     case = study.module.run_case(row, 1, np.random.SeedSequence(2))
-    assert set(case) == set(study.columns)
+    assert set(case) == set(study.module.COLUMNS)
     assert case["dates"] == 4.0
     assert case["remaining"] > 0.0
     assert case["low"] <= case["not_before"] <= case["median"] <= case["high"]
