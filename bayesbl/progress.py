@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 Progress = Callable[[int, int], None]  # called with (steps done, steps allowed)
@@ -16,3 +16,8 @@ def silent(made: int, allowed: int) -> None:
 def of_stage(progress: StageProgress | None, stage: str) -> Progress:
     """The progress of one stage."""
     return silent if progress is None else partial(progress, stage)
+
+
+def joined(names: Sequence[str]) -> str:
+    """The names of one or two recordings, or the number of more, to name a stage."""
+    return " and ".join(names) if len(names) < 3 else f"{len(names)} recordings"

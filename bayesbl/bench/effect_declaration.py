@@ -274,8 +274,8 @@ class Effect:
     resonance
         For an elastic part with an inertia behind it.
     always_in
-        Every fit of a gap allows for it: it moves δ by more than a standard deviation before it
-        becomes visible, and its usual size may be invisible
+        Every fit of a gap allows for it, because every joint has it, or because it moves δ by more
+        than a standard deviation before it becomes visible, and its usual size may be invisible
         (``configs/bias_against_visibility.toml``).
     may_change
         A setting, a cable or a weight brings it into some recordings of a joint and not others.

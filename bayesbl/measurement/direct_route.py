@@ -67,7 +67,7 @@ from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.probabilities import TOO_FEW, ends
-from bayesbl.progress import StageProgress, of_stage
+from bayesbl.progress import StageProgress, joined, of_stage
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
@@ -323,7 +323,7 @@ def fit_directly(
 ) -> DirectMatch:
     """Optimum and posterior of all recordings; ``drift`` as of :func:`fit_jointly`."""
     joint_fit = fit_jointly(bench, recordings, gap_rad, drift, workers, progress)
-    name = " and ".join(r.name for r in recordings)
+    name = joined([r.name for r in recordings])
     report = of_stage(progress, f"Sampling {name}")
     simulating = of_stage(progress, f"Simulating draws of {name}")
     allows_for_misfit = joint_fit.allows_for_misfit

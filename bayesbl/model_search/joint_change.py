@@ -411,11 +411,13 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
     if len(recordings) == 1:
         return everywhere
     existing_keys = {unknown.key for unknown in model.unknowns}
+    # A joint has an elastic part in all recordings or in none; its stiffness may change.
+    parts = {effect.name for effect in EFFECTS if effect.resonance is not None}
     within = [
         c.within(observation.name)
         for observation in recordings
         for c in hypotheses
-        if not any(u.name in observation.known for u in c.unknowns)
+        if c.name not in parts and not any(u.name in observation.known for u in c.unknowns)
     ]
     return [*everywhere, *(c for c in within if not existing_keys & c.unknown_keys)]
 

@@ -53,7 +53,7 @@ from bayesbl.model_search.joint_change import (
     loops_and_parts,
     with_part,
 )
-from bayesbl.progress import Progress, StageProgress, of_stage, silent
+from bayesbl.progress import Progress, StageProgress, joined, of_stage, silent
 from bayesbl.sampling.chains import SamplerSettings
 
 FRICTION = (
@@ -179,7 +179,7 @@ def fit_jointly(
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, moving)
     with_current = [r.name for r in recordings[1:] if len(r.signals) > 1]
     unknowns += friction_drift(unknowns, nuisances, with_current)
-    name = " and ".join(r.name for r in recordings)
+    name = joined([r.name for r in recordings])
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     nominal = valid_variant(fit_aligned(bench, recordings, unknowns, workers, aligning))
     allowing = of_stage(progress, f"Allowing for what the bench lacks in {name}")

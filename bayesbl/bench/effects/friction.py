@@ -193,6 +193,7 @@ GEAR_MESH_FRICTION = Effect(
         usual=0.2,
     ),
     free_motion=True,
+    always_in=True,
 )
 
 # The teeth part where gravity balances it: the pulses move away from half a rotation apart.
