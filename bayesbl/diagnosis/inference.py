@@ -477,8 +477,10 @@ class View(ABC):
         """Candidates that are fitted even if they are not reportable."""
         return ()
 
-    def rivals(self, errors: Sequence[ParameterError]) -> tuple[str, ...]:
-        """What may be wrong instead of all these parameters."""
+    def rivals(
+        self, errors: Sequence[ParameterError], estimates: Mapping[str, Estimate]
+    ) -> tuple[str, ...]:
+        """What may be wrong instead of all these parameters; ``estimates``: all fitted ones."""
         return ()
 
 
@@ -916,8 +918,9 @@ def diagnose(
         if kinds[label] == "effect" and label not in silent
     ]
     errors = tuple(parameter_errors(bench, estimates))
-    rivals = view.rivals(errors)
-    errors = tuple(replace(error, indistinguishable_from=rivals) for error in errors)
+    rivals = view.rivals(errors, estimates)
+    # A factor leaves zero as it is.
+    errors = tuple(replace(e, indistinguishable_from=rivals if e.believed else ()) for e in errors)
     lines = tuple(_line(inference, *item) for item in remaining)
     over_noise = disagreement["after"] / max(
         disagreement["noise_floor"], ROUNDING * disagreement["before"], _TINY

@@ -10,7 +10,7 @@ import pytest
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import effect_named
-from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, ParameterError
 from bayesbl.diagnosis.inference import candidate_of, diagnose
 from bayesbl.diagnosis.rigid.inverse import (
     TORQUE_CONSTANT,
@@ -109,3 +109,27 @@ def test_a_pure_number_is_never_larger_than_in_any_joint() -> None:
     name = "gear_mesh_friction"
     made = candidate_of(TORQUE_LAWS[name], name, ("coefficient",), ())
     assert made.largest == effect_named(name).parameter("coefficient").high
+
+
+GRAVITY = "gravity_torque_nm"
+
+
+@pytest.mark.parametrize(
+    ("stated", "gravity", "is_rival"),
+    [(0.0, 5.0, True), (10.0, None, False), (10.0, 14.0, True), (10.0, 10.0, False)],
+)
+def test_the_scale_of_torque_must_explain_gravity_too_within_its_tolerance(
+    stated: float, gravity: float | None, is_rival: bool
+) -> None:
+    made = moving("a", 1.0, lambda _, v, a: INERTIA * a + friction(v))
+    bench = BENCH.with_parameters(gravity_torque_nm=stated)
+    inertia = "motor_inertia_kg_m2"
+    parts = tuple(compared(made, MOTOR_CURRENT, ("used",), 60.0))
+    view = InverseView(parts, bench, {}, (inertia,), load_angle_known=True)
+    estimates = {inertia: Estimate(1.4 * INERTIA, 1e-4)}
+    errors = [ParameterError(inertia, INERTIA, 0.05 * INERTIA, estimates[inertia])]
+    if gravity is not None:
+        estimates[GRAVITY] = Estimate(gravity, 0.01)
+        if stated == 0.0:
+            errors.append(ParameterError(GRAVITY, 0.0, 0.0, estimates[GRAVITY]))
+    assert view.rivals(errors, estimates) == ((TORQUE_CONSTANT,) if is_rival else ())

@@ -31,7 +31,7 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned import Variable, variable_of
 from bayesbl.config.kinds import DiagnoseConfig
-from bayesbl.diagnosis.diagnosis import Diagnosis, ParameterError
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, ParameterError
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.inference import (
     SURE_PARAMETER,
@@ -711,23 +711,22 @@ class InverseView(View):
 
     silent = (SKEW,)
 
-    def rivals(self, errors: Sequence[ParameterError]) -> tuple[str, ...]:
+    def rivals(
+        self, errors: Sequence[ParameterError], estimates: Mapping[str, Estimate]
+    ) -> tuple[str, ...]:
         """The scale of the recorded torque, if it would explain all that the bench states."""
-        total = sum(self._at_motor(name) * self.bench.value(name) for name in INERTIAS)
-        factors = {
-            e.name: (1.0 + scale * (e.fitted.value - e.believed), scale * e.fitted.sd)
-            for e in errors
-            for scale in [
-                self._at_motor(e.name) / total if e.name in INERTIAS else 1.0 / e.believed
-            ]
-        }
-        inertia = next((f for name, f in factors.items() if name in INERTIAS), None)
+        inertia = next((e for e in errors if e.name in INERTIAS), None)
         if inertia is None:
             return ()
-        if self.load_angle_known and self.bench.value(GRAVITY) > 0.0:
-            gravity = factors.get(GRAVITY, (1.0, 0.0))
-            sd = math.hypot(inertia[1], gravity[1])
-            if abs(inertia[0] - gravity[0]) > SURE_PARAMETER * sd:
+        stated = self.bench.value(GRAVITY)
+        if self.load_angle_known and stated > 0.0:
+            total = sum(self._at_motor(name) * self.bench.value(name) for name in INERTIAS)
+            scale = self._at_motor(inertia.name) / total
+            factor = 1.0 + scale * (inertia.fitted.value - inertia.believed)
+            # Gravity may be off by the same factor within its tolerance.
+            gravity = estimates.get(GRAVITY, Estimate(stated, 0.0))
+            sd = math.hypot(scale * inertia.fitted.sd, gravity.sd / stated)
+            if abs(factor - gravity.value / stated) > SURE_PARAMETER * sd:
                 return ()
         current = self.rows.pieces[0].channel == MOTOR_CURRENT
         return (TORQUE_CONSTANT if current else MOTOR_TORQUE,)
