@@ -11,6 +11,7 @@ from struct import pack
 
 import h5py
 import numpy as np
+import openpyxl
 import pytest
 from scipy.io import savemat
 
@@ -2224,3 +2225,32 @@ def test_a_constant_setpoint_of_an_axis_names_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("\n".join([header, *rows]))
     assert read_table(path).columns == tuple(header.split(","))
+
+
+def test_one_unit_beside_several_lists_is_the_unit_of_none(tmp_path: Path) -> None:
+    path, speed = tmp_path / "a.json", [1500.0 + i for i in range(40)]
+    columns = {"time_s": [0.001 * i for i in range(40)], "motor_speed_rpm": speed}
+    path.write_text(json.dumps({"units": "SI", **columns}))
+    assert read_recording(path).motor_speed_rpm.tolist() == speed
+    path.write_text(json.dumps({"n": {"unit": "deg/s", "time": columns["time_s"], "data": speed}}))
+    assert read_table(path).units == {"n/data": "deg/s"}
+
+
+def test_text_in_a_column_of_percent_is_text_in_that_column(tmp_path: Path) -> None:
+    rows = [[0.001 * i, 1500.0 + i, 0.45 if i != 30 else "broken"] for i in range(40)]
+    path = tmp_path / "a.xlsx"
+    for name, unit in (("load", None), ("torque [pu]", "12 N m")):
+        book = openpyxl.Workbook()
+        sheet = book.active
+        for row in [["time_s", "motor_speed_rpm", name], *rows]:
+            sheet.append(row)
+        for (cell,) in sheet.iter_rows(2, None, 3, 3):
+            cell.number_format = "0 %"
+        book.save(path)
+        assert read_recording(path).motor_speed_rpm[5] == 1505.0
+        if unit is not None:  # the name states what the cells hold
+            sheet["C32"] = 0.45
+            book.save(path)
+            columns = {"motor_torque_nm": ColumnSpec(name, unit)}
+            torque = read_recording(path, columns=columns).channels["motor_torque_nm"]
+            assert torque == pytest.approx(5.4)

@@ -20,6 +20,7 @@ from bayesbl.recording.array_table import (
     number_in,
     table_of_groups,
 )
+from bayesbl.recording.columns import stated_unit
 from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of_text
 
@@ -71,7 +72,12 @@ def _group(sheet: Any, repairs: Counter[str]) -> Group:
     repairs.update({"number written as text": written_as_text}, **table.repairs)
     # A cell that shows 45 % holds 0.45.
     first = next(sheet.iter_rows(layout.begin + 1, layout.begin + 1), ())
-    shares = {n for n, cell in zip(table.columns, first, strict=False) if _is_share(cell)}
+    shares = {
+        name
+        for name, cell in zip(table.columns, first, strict=False)
+        if _is_share(cell) and table.arrays[name].dtype.kind == "f"
+        if (of_name := stated_unit(table, name)).unit is None and of_name.unknown in (None, "%")
+    }
     arrays = {n: 100.0 * v if n in shares else v for n, v in table.arrays.items()}
     return Group(sheet.title, arrays, units={**dict.fromkeys(shares, "%"), **table.units})
 

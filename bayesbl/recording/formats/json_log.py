@@ -22,6 +22,7 @@ from bayesbl.recording.array_table import ArrayTable
 
 _LONGEST_LIST = 64
 _DEEPEST = 6
+_DATA = ("values", "data")  # names of a signal's list beside its times
 
 
 def read(data: bytes) -> ArrayTable:
@@ -78,8 +79,11 @@ def _columns(
     elif isinstance(content, dict):
         content = _named(content)
         unit = content.get("unit", content.get("units"))
+        lists = [key for key, value in content.items() if isinstance(value, list)]
+        lists = [key for key in lists if str(key).lower() in _DATA] or lists
         for key, value in content.items():
-            if isinstance(value, list) and isinstance(unit, str):
+            # Beside several lists, a unit may be that of any: it is not the unit of time.
+            if lists == [key] and isinstance(unit, str):
                 units[f"{name}/{key}" if name else str(key)] = unit
             yield from _columns(f"{name}/{key}" if name else str(key), value, depth + 1, units)
     elif isinstance(content, list):
