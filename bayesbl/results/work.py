@@ -3,9 +3,8 @@
 The address is the SHA-256 of everything that determines the numbers: the inputs and the code. An
 entry is one file that appears whole or not at all. A killed run therefore loses only the step in
 progress, the same command continues to the same numbers, and a run in which little has changed
-makes only that. An entry that is damaged, has another
-address, or cannot be read counts as missing. Whoever can write an entry can change the numbers, so
-only this user may write to the folder.
+makes only that. An entry that is damaged, has another address, or cannot be read counts as missing.
+Whoever can write an entry can change the numbers, so only this user may write to the folder.
 
 Values are frozen dataclasses of numbers, texts, ``None``, arrays, and tuples, mappings and
 dataclasses of these. JSON and arrays of a value are stored in one ``.npz``, with nothing that could
@@ -22,6 +21,7 @@ import io
 import json
 import os
 import platform
+import re
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
@@ -135,10 +135,9 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
 
 
 STORE = ".finished"  # folder beside results, for all of them
-LARGEST_STORE_BYTES = (
-    2_000_000_000  # of that folder, 300 kB a fit; the oldest entries are deleted first
-)
+LARGEST_STORE_BYTES = 2_000_000_000  # of that folder; the oldest entries are deleted first
 _PART = ".part"  # suffix of a file being written; a killed writer leaves it
+_ENTRY = re.compile(rf"[0-9a-f]{{64}}|tmp\w+{re.escape(_PART)}")
 
 
 def code_identity() -> str:
@@ -237,14 +236,15 @@ class WorkStore:
                 (self.folder / name).unlink(missing_ok=True)
 
     def _files(self) -> dict[str, os.stat_result]:
-        """Files in the folder, by name."""
+        """Entries in the folder, also unfinished ones, by name; no other file."""
         by_name = {}
         with suppress(FileNotFoundError):
             if self.folder is not None:
                 require_own(self.folder)
                 for entry in os.scandir(self.folder):
                     with suppress(FileNotFoundError):
-                        if entry.is_file(follow_symlinks=False):
+                        is_ours = _ENTRY.fullmatch(entry.name) is not None
+                        if is_ours and entry.is_file(follow_symlinks=False):
                             by_name[entry.name] = entry.stat()
         return by_name
 

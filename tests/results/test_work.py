@@ -197,3 +197,13 @@ def unstorable(kind: Any, seen: set[Any]) -> Iterator[str]:
 @pytest.mark.parametrize("kind", [Fit, DirectMatch, Diagnosis, Identification, SweepRow, Case])
 def test_all_that_runs_finish_can_be_stored(kind):
     assert not list(unstorable(kind, set()))
+
+
+def test_files_that_are_no_entries_are_never_deleted(tmp_path: Path) -> None:
+    kept = store(tmp_path / "work")
+    kept.keep("a", 1, WORK)
+    own = tmp_path / "work" / "notes.txt"
+    own.write_text("mine")
+    kept.keep_latest(size_bytes=0)
+    kept.keep_only([])
+    assert os.listdir(tmp_path / "work") == ["notes.txt"]
