@@ -30,6 +30,7 @@ costly and shared by the cases of a row goes into a function under ``functools.c
 
 from __future__ import annotations
 
+import ast
 import csv
 import hashlib
 import importlib.util
@@ -141,7 +142,7 @@ class Study:
         return line
 
     def definition(self, table: Table, seed: int) -> str:
-        """What determines a row's cases besides the package's code: table, study file and seed.
+        """What determines a row's cases besides the package's code: table, study's code and seed.
 
         Files that a row names count by their content, wherever they are.
         """
@@ -149,7 +150,9 @@ class Study:
             key: [Path(value).name, file_sha256(value)] if _is_file(value) else value
             for key, value in table.items()
         }
-        return json.dumps([said, file_sha256(self.path), seed], sort_keys=True, default=str)
+        with error_of(self.path, "while its imports were read"):
+            code = _code_of(self.path)
+        return json.dumps([said, sorted(code.values()), seed], sort_keys=True, default=str)
 
 
 def load_study(path: str | Path) -> Study:
@@ -195,6 +198,22 @@ def error_of(path: Path, when: str) -> Iterator[None]:
             where=_line_of(error, path),
             found=f"{type(error).__name__}: {error}",
         ) from error
+
+
+def _code_of(study: Path) -> dict[str, str]:
+    """SHA-256 of a study file and of all modules beside it that it imports, by file name."""
+    found: dict[str, str] = {}
+    waiting = [study]
+    while waiting:
+        file = waiting.pop()
+        if file.name in found or not file.is_file():
+            continue
+        found[file.name] = file_sha256(file)
+        for node in ast.walk(ast.parse(file.read_bytes())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            waiting += [study.with_name(f"{name.partition('.')[0]}.py") for name in names]
+    return found
 
 
 def seed_of_case(seed: int, row: str, index: int) -> np.random.SeedSequence:

@@ -88,7 +88,9 @@ def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
         require_free(output, force=options.force)
         work = WorkStore.shared(output.parent / STORE)
         if work.folder is None:
-            options.say(f"{output.parent / STORE} may be of somebody else: nothing is kept.")
+            options.say(
+                f"Others may write to {output.parent / STORE}: finished steps are not kept."
+            )
         yield work
         work.keep_latest(size_bytes=LARGEST_STORE_BYTES)
 

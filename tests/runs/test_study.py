@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.results.store import read_tree
+from bayesbl.results.work import STORE
 from bayesbl.runs.study import load_study, seed_of_case, table_csv
 from bayesbl.runs.study import run as run_study
 from bayesbl.runs.workflow import Options
@@ -90,6 +92,7 @@ def means(output: Path) -> dict[str, list[float]]:
 
 def test_the_numbers_do_not_depend_on_the_workers(folder):
     run(configure(folder, output="one", workers=1))
+    shutil.rmtree(folder / STORE)
     run(configure(folder, output="three", workers=3))
     assert means(folder / "one") == means(folder / "three")
 
@@ -217,6 +220,22 @@ def test_only_what_decides_the_cases_defines_a_row(folder):
     assert not changed("", "")
     (folder / "bench.toml").write_text("stiffness = 2")
     assert load_study(folder / "study.py").definition(table, 1) != first
+
+
+def test_a_module_that_the_study_imports_defines_its_rows_too(folder):
+    path, beside = folder / "study.py", folder / "rig.py"
+    path.write_text("def summarise(row, cases):\n    import rig\n" + STUDY)
+    (folder / "other.py").write_text("")
+    definitions = []
+    for code in ("A = 1", "A = 2", "import other"):
+        beside.write_text(code)
+        definitions.append(load_study(path).definition({"name": "a"}, 1))
+    (folder / "other.py").write_text("B = 1")
+    definitions.append(load_study(path).definition({"name": "a"}, 1))
+    (folder / "unused.py").write_text("C = 1")
+    definitions.append(load_study(path).definition({"name": "a"}, 1))
+    assert len(set(definitions)) == 4
+    assert definitions[-1] == definitions[-2]
 
 
 def test_rows_and_study_files_that_cannot_be_used_are_refused(folder):
