@@ -88,9 +88,7 @@ def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
         require_free(output, force=options.force)
         work = WorkStore.shared(output.parent / STORE)
         if work.folder is None:
-            options.say(
-                f"Others may write to {output.parent / STORE}: finished steps are not kept."
-            )
+            options.say(f"Others may write to {output.parent / STORE}, so no step is kept.")
         yield work
         work.keep_latest(size_bytes=LARGEST_STORE_BYTES)
 
