@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ClusterError
 from bayesbl.results.store import read_tree
+from bayesbl.results.work import STORE
 from bayesbl.runs import cluster as clusters
 from bayesbl.runs.cluster import differences, facts
 from bayesbl.runs.simulate import recording_csv
@@ -118,7 +120,9 @@ def numbers(output: Path, *names: str) -> list[list[float]]:
 @pytest.mark.long
 def test_one_worker_two_workers_and_a_cluster_give_the_same_numbers(folder, scheduler):
     run(configure(folder, "one", "workers = 1"))
+    shutil.rmtree(folder / STORE)
     run(configure(folder, "two", "workers = 2"))
+    shutil.rmtree(folder / STORE)
     said = run(configure(folder, "cluster", f'scheduler = "{scheduler}"'))
     assert said == [f"12 cases run on 2 workers of {scheduler}."]
     assert numbers(folder / "one") == numbers(folder / "two") == numbers(folder / "cluster")
@@ -129,6 +133,7 @@ def test_one_worker_two_workers_and_a_cluster_give_the_same_numbers(folder, sche
 def test_a_case_whose_worker_dies_is_run_again_by_another_to_the_same_numbers(folder, scheduler):
     run(configure(folder, "dies", f'scheduler = "{scheduler}"', "dies = 2"))
     assert (folder / "note.died").exists()
+    shutil.rmtree(folder / STORE)
     run(configure(folder, "lives", "workers = 2", "dies = 2"))
     assert numbers(folder / "dies") == numbers(folder / "lives")
 
@@ -193,6 +198,7 @@ def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folde
     before = finished(folder)
     assert 0 < before < 12
     run(configure(folder, "kept", "workers = 2", "sleep = 0.2"))
+    shutil.rmtree(folder / STORE)
     run(configure(folder, "whole", "workers = 2", "sleep = 0.2"))
     assert numbers(folder / "kept") == numbers(folder / "whole")
 
@@ -220,6 +226,7 @@ def test_a_fleet_whose_scheduler_is_killed_loses_nothing_and_measures_nothing_tw
     assert not (tmp_path / "killed").exists()
     said = fleet.start(fleet.configure(tmp_path, "killed"))
     assert said in [[f"{n} recordings to measure, {n} of 4 joints to look at."] for n in (1, 2, 3)]
+    shutil.rmtree(tmp_path / STORE)
     fleet.start(fleet.configure(tmp_path, "whole"))
     for name in ("recordings", "joints"):
         assert fleet.table(tmp_path / "killed", name) == fleet.table(tmp_path / "whole", name)
@@ -236,6 +243,7 @@ def test_a_bug_in_a_case_names_it_and_what_is_finished_goes_on_over_processes(
     assert finished(folder) > 0
     configure(folder, "kept", "workers = 2", "refuse = 1")
     run(config)
+    shutil.rmtree(folder / STORE)
     run(configure(folder, "whole", "workers = 2", "refuse = 1"))
     for name in ("norm", "own"):
         np.testing.assert_array_equal(
@@ -245,7 +253,7 @@ def test_a_bug_in_a_case_names_it_and_what_is_finished_goes_on_over_processes(
 
 def finished(folder: Path) -> int:
     """Cases that the study ``kept`` has stored."""
-    return len(list((folder / ".finished").iterdir()))
+    return len(list((folder / STORE).iterdir()))
 
 
 def test_a_worker_with_other_code_or_files_is_refused_before_anything_runs(

@@ -15,6 +15,7 @@ from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.fleet.measured_joint import JointJob, measure_joint
 from bayesbl.library import draw
+from bayesbl.results.work import STORE
 from bayesbl.runs import fleet, watch
 from bayesbl.runs.kinds import run
 from bayesbl.runs.simulate import run_simulate
@@ -249,7 +250,9 @@ def test_one_process_two_and_a_cluster_write_the_same_tables(tmp_path, monkeypat
     put(tmp_path, "J2", "2025-01-01", AFTER)
     (tmp_path / "joints.csv").write_text("joint,gearbox,gear_ratio\nJ1,,120\nJ2,,120\n")
     start(configure(tmp_path, "one"))
+    shutil.rmtree(tmp_path / STORE)
     start(configure(tmp_path, "two", "workers = 2"))
+    shutil.rmtree(tmp_path / STORE)
     with distributed.LocalCluster(n_workers=1, dashboard_address=":0") as cluster:
         how = f'scheduler = "{cluster.scheduler_address}"'
         said = start(configure(tmp_path, "cluster", how))
