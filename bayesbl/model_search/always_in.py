@@ -486,11 +486,14 @@ class LinearisedFit:
         if not self.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
             return False
         drawn = self.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
+        misfit_variance = misfit_shift_sd(fit, self.posterior) ** 2
         for index, unknown in enumerate(fit.model.unknowns):
             if unknown.name != GAP:
                 continue
             mean_square_shift = float(np.mean(drawn[:, index] ** 2))
-            sd = math.sqrt(float(fit.covariance[index, index]) + mean_square_shift)
+            sd = math.sqrt(
+                float(fit.covariance[index, index]) + mean_square_shift + misfit_variance
+            )
             reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
             low, high = unknown.value(fit.point[index] + np.array([-reach, reach]))
             if not 0.0 < high < USEFUL_RATIO * low:
@@ -852,6 +855,24 @@ def _goal(fit: SimulatedFit) -> float:
     return MOST_AGREEING * fit.residual.size
 
 
+def misfit_shift_sd(fit: SimulatedFit, linear_posterior: ModelPosterior) -> float:
+    """Standard deviation of a common shift of all gaps by a misfit, in their coordinates.
+
+    What a bench lacks in a motion shows where the motor reverses, as the gap does: friction near
+    rest, for example. So the misfit is not spread evenly over all directions, and its part along
+    the gaps is unknown. The shift is uniform within √E/|J g|: that of the whole excess E of χ²,
+    with J g the derivative by a shift of all gaps, orthogonal to the other unknowns.
+
+    Zero at constant speed, and if the posterior has no discrepancy.
+    """
+    moving = any(observation.motion is not None for observation in fit.model.recordings)
+    if not (moving and linear_posterior.linearised.groups):
+        return 0.0
+    gaps = [k for k, unknown in enumerate(fit.model.unknowns) if unknown.name == GAP]
+    precision = float(np.linalg.inv(fit.covariance[np.ix_(gaps, gaps)]).sum())
+    return UNIFORM_SD * math.sqrt(max(linear_posterior.excess_chi_square, 0.0) / precision)
+
+
 def marginalised(
     posterior: DirectPosterior, linear_posterior: ModelPosterior, seed: np.random.SeedSequence
 ) -> DirectPosterior:
@@ -870,6 +891,7 @@ def marginalised(
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
+    misfit_sd = misfit_shift_sd(posterior.fit, linear_posterior)
     shifts = linear_posterior.draw(rng, len(flat)).shift
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
@@ -878,6 +900,8 @@ def marginalised(
             # A discrepancy is in no catalogue, so the direction in which it moves δ is unknown too.
             mean_shift = shifts[:, gaps].mean(axis=0)
             trial[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, mean_shift)
+        if misfit_sd > 0.0:
+            trial[:, gaps] += misfit_sd * rng.standard_normal((outside.size, 1))
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
         for k in gaps:
             unknown = model.unknowns[k]
