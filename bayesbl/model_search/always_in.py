@@ -884,8 +884,9 @@ def marginalised(
     where teeth begin to touch depends on the contact law, which no recording shows. All snapshots
     share this error.
 
-    A draw that would leave the ranges of the unknowns gets another draw's shift, or stays where it
-    was.
+    A draw that would leave the ranges of the unknowns gets another draw's shift. If nearly every
+    shift leaves them, it stops at the ends of the ranges: without a shift, δ would be as certain as
+    if nothing were missing.
     """
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
@@ -908,6 +909,7 @@ def marginalised(
             trial[:, k] = unknown.coordinate(unknown.value(trial[:, k]) + edge_rad)
         within = np.all((trial > model.low) & (trial < model.high), axis=1)
         moved[outside[within]] = trial[within]
+        moved[outside[~within]] = np.clip(trial[~within], model.low, model.high)
         outside = outside[~within]
         if not outside.size:
             break
