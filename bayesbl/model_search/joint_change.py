@@ -42,6 +42,7 @@ from bayesbl.probabilities import FALSE_ALARM, chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
+ELASTIC_PARTS = tuple(effect.name for effect in EFFECTS if effect.resonance is not None)
 OWN_EFFECT_SHARE = 0.3
 """Usual relative change of an effect that the bench has."""
 
@@ -184,8 +185,7 @@ def loops_and_parts(
     which no part is sought, if no other loop fits as well.
     """
     bench, recordings = fit.model.bench, fit.model.recordings
-    names = [e.name for e in EFFECTS if e.resonance is not None]
-    parts = [c for c in candidates(bench, recordings, names) if c.name in names]
+    parts = [c for c in candidates(bench, recordings, ELASTIC_PARTS) if c.name in ELASTIC_PARTS]
     if all(observation.motion is None for observation in recordings):
         found = SetSearch(Explanation((), fit), lambda _: parts, 1, nuisances).sets
         sets = [entry for entry, _ in found]
@@ -412,12 +412,11 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
         return everywhere
     existing_keys = {unknown.key for unknown in model.unknowns}
     # A joint has an elastic part in all recordings or in none; its stiffness may change.
-    parts = {effect.name for effect in EFFECTS if effect.resonance is not None}
     within = [
         c.within(observation.name)
         for observation in recordings
         for c in hypotheses
-        if c.name not in parts and not any(u.name in observation.known for u in c.unknowns)
+        if c.name not in ELASTIC_PARTS and not any(u.name in observation.known for u in c.unknowns)
     ]
     return [*everywhere, *(c for c in within if not existing_keys & c.unknown_keys)]
 

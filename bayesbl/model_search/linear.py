@@ -283,9 +283,14 @@ def orthant(
 
 
 def _triangle(rows: FloatArray) -> FloatArray:
-    """R factor of rows (n, p), shape (p, p): it has their inner products, without squaring them."""
+    """R factor of rows (n, p), shape (p, p): it has their inner products, without squaring them.
+
+    Its diagonal is not negative. So it is unique, and draws that are made with it do not change
+    with rounding.
+    """
     missing = max(rows.shape[1] - len(rows), 0)
-    return np.asarray(np.linalg.qr(np.pad(rows, [(0, missing), (0, 0)]), mode="r"))
+    triangle = np.linalg.qr(np.pad(rows, [(0, missing), (0, 0)]), mode="r")
+    return np.asarray(np.where(np.diag(triangle) < 0.0, -1.0, 1.0)[:, None] * triangle)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -883,20 +888,19 @@ class ModelPosterior:
             # Rows with misfit leave u less certain than the draws of u alone have it.
             more = of_u.root @ of_u.root.T - alone.root @ alone.root.T
             values, vectors = np.linalg.eigh(more)
-            extra = model_generator.standard_normal((count, grams.d)) * np.sqrt(
-                np.maximum(values, 0.0)
-            )
+            root_of_more = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+            extra = model_generator.standard_normal((count, grams.d)) @ root_of_more
             free, remaining = (
                 sizes[rows][:, grams.columns_free],
                 sizes[rows][:, grams.columns_remaining],
             )
             others = np.concatenate([free, remaining, h[rows]], axis=1)
             centre = (of_u.along - others @ of_u.across.T) @ of_u.root.T
-            shift[rows] = centre + extra @ vectors.T - unshifted
+            shift[rows] = centre + extra - unshifted
         order = generator.permutation(n)
         shift = shift[order]
-        noise = generator.standard_normal((n, alone.root.shape[1]))
-        fitted = unshifted + noise @ alone.root.T + shift
+        noise = generator.standard_normal((n, grams.d))
+        fitted = unshifted + noise @ _triangle(alone.root.T) + shift
         return Draws(sizes[order], h[order] * grams.scale_of_column, shift, fitted)
 
 

@@ -456,3 +456,21 @@ def test_strong_evidence_of_one_law_leaves_that_of_another(size: float) -> None:
     alone = search(view(rest @ residual, [Term("weak", rest @ weak)]), probability={"weak": 0.25})
     found = search(lin, probability={"strong": 0.25, "weak": 0.25}).inclusion["weak"]
     assert found == pytest.approx(alone.inclusion["weak"], abs=0.02)
+
+
+def test_draws_do_not_change_with_rounding() -> None:
+    """Singular vectors of equal columns are arbitrary; rounding decides on them."""
+    rng = np.random.default_rng(17)
+    n = 60
+    orthogonal = 3.0 * np.linalg.qr(rng.standard_normal((n, 9)))[0]
+    residual = rng.standard_normal(n) + orthogonal[:, 4]
+
+    def drawn(rounding: float):
+        columns = orthogonal * (1.0 + rounding * rng.standard_normal(orthogonal.shape))
+        terms = [Term(f"a{k}", columns[:, k : k + 1], always=True) for k in range(4, 9)]
+        lin = view(residual, terms, jacobian=columns[:, :4], discrepancy=0.3 * smooth(n, 6))
+        return search(lin).draw(np.random.default_rng(3), 400)
+
+    one, other = drawn(0.0), drawn(1e-14)
+    for name in ("sizes", "discrepancy", "shift", "fitted"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-6)
