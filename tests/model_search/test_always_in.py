@@ -18,6 +18,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.model_search import always_in
@@ -29,6 +30,7 @@ from bayesbl.model_search.always_in import (
     edge_variances,
     laws,
     linearised_fit,
+    marginalised,
     with_far_terms_freed,
     with_friction,
     with_neutral,
@@ -36,6 +38,7 @@ from bayesbl.model_search.always_in import (
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import weighed
 from bayesbl.model_search.joint_change import loops_and_parts, with_part
+from bayesbl.model_search.linear import Linearised, Term, search
 from bayesbl.model_search.pipeline import JointFit, direct_unknowns, fit_jointly
 from bayesbl.model_search.refit import Explanation, refit
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
@@ -674,3 +677,30 @@ def test_the_fit_that_answers_is_the_one_that_was_checked(
     fits = {True: one_sided, False: central}
     answer = always_in.with_far_terms_freed(nominal, [])
     assert answer.fit is (central if explains else nominal)
+
+
+def test_a_law_that_leads_out_of_a_range_still_widens_the_gap() -> None:
+    """It took all of the friction's size and more, so no draw stayed within the range."""
+    friction = {"coefficient_nm_s_per_rad": EffectParameterValue(20.0, 10.0)}
+    bench = BENCH.with_effects(BenchEffect("load_viscous_friction", friction))
+    made = bench.simulate(GAP_RAD, rotations=3, seed=np.random.default_rng(5), name="one")
+    seen = observed(made, bench)
+    unknowns = direct_unknowns(bench, ["one"], (1e-4, 1e-2))
+    fit = fit_aligned(bench, [seen], unknowns)
+    posterior = sample_direct(fit, SamplerSettings(max_steps=2000), np.random.SeedSequence(3))
+    gap = fit.model.index(GAP, "one")
+    coefficient = fit.model.index("load_viscous_friction__coefficient_nm_s_per_rad")
+    triangle = np.linalg.qr(fit.derivatives(), mode="r")
+    law = -0.05 * triangle[:, gap] + 1e4 * triangle[:, coefficient]
+    view = Linearised(
+        np.zeros(len(triangle)),
+        triangle,
+        np.zeros(triangle.shape),
+        np.zeros(len(triangle)),
+        [Term("law", law[:, None], positive=True, always=True)],
+        np.zeros((len(triangle), 0)),
+    )
+    moved = marginalised(posterior, search(view), np.random.SeedSequence(4))
+    widened = np.std(np.log(moved.values(GAP, "one")))
+    assert widened == pytest.approx(0.05 * math.sqrt(1.0 - 2.0 / math.pi), rel=0.15)
+    assert np.all(moved.draws >= fit.model.low)
