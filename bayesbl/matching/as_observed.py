@@ -111,7 +111,7 @@ def continued(stretch: FloatArray, samples: int) -> FloatArray:
     if stretch.shape[2] == samples:
         return stretch
     # Indexing would put the samples first in memory, which makes whitening ten times slower.
-    return np.take(stretch, np.arange(samples) % stretch.shape[2], axis=2)
+    return np.asarray(np.take(stretch, np.arange(samples) % stretch.shape[2], axis=2))
 
 
 def in_whole_ticks(matrix: FloatArray, observation: Observed) -> FloatArray:

@@ -458,7 +458,7 @@ def expected_sds(
     noise = [noise_of(observations, observations.signals) for observations in recordings]
     observations = [marginalising_motor_lines(recording, bench) for recording in recordings]
     model = SimulatedSignals(bench, observations, unknowns, noise, 1)
-    expected = []
+    expected: list[ExpectedSd] = []
     for gap_rad in gaps_rad:
         progress(len(expected), len(gaps_rad))
         expected.append(_at(model, gap_rad, among))
