@@ -100,9 +100,9 @@ def independent_draws(
 
     Returns
     -------
-    The last points that ``target`` was given, (proposed, d); the index among them of each draw,
-    (count,); and their effective share. ``None`` if no proposal is close enough, as for a density
-    of another shape.
+    The last points that ``target`` was given, (m, d); the index among them of each draw, (count,);
+    and the number of effective draws by ``proposed``, at most one. ``None`` if no proposal is close
+    enough, as for a density of another shape.
     """
     least = LEAST_SHARE * proposed
     best = _proposal(target, peak, covariance, box, proposed, generator)
@@ -127,7 +127,7 @@ def independent_draws(
     if best is None or not best.is_good(least):
         return None
     chosen = resampled(best.log_weights[None], count, generator)[0]
-    return best.points, chosen, best.effective / len(best.points)
+    return best.points, chosen, min(best.effective / proposed, 1.0)
 
 
 def _proposal(
