@@ -16,7 +16,8 @@ contact depends on them alone and the step control must see their error.
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
 changes (at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps)
 and at the ticks of a sampled controller. The region is fixed within a step, so the right-hand side
-is smooth there.
+is smooth there. Between two ticks, far from an edge, a bench with friction alone is linear, and is
+solved exactly.
 
 A held output is a load of infinite inertia; the drive's reference is then its torque.
 """

@@ -1,10 +1,10 @@
 """Posterior of the gap and all other unknowns, from simulations of the recordings.
 
-Draws come from a second-order surrogate of the whitened signals: independent ones if it is nearly
+Draws come from a second-order surrogate of the whitened signals: independent ones if it is roughly
 normal within the ranges, otherwise by emcee. Full simulations of some draws show how far importance
 weights would move the answer. If that is less than the sampler's own error, the draws are kept as
-they are. Otherwise all are simulated and weighted. If few draws carry the weight, the surrogate is
-fitted again around them.
+they are. Otherwise the surrogate is fitted again around them. If no surrogate suffices, all draws
+of the best are simulated and weighted.
 """
 
 from __future__ import annotations
@@ -250,7 +250,7 @@ def sample_direct(
     if withheld:
         return _unsimulated(fit, settings, design_seed)
     local = _Local(fit.point, fit.peak(), fit.covariance)
-    needed = min(points_needed(model), DRAWS)
+    needed = points_needed(model)
     points = local.drawn(needed, (model.low, model.high), design_seed)
     chi_square, surrogate = regress(
         model, points, points.mean(axis=0), _covariance(points), simulating
@@ -269,12 +269,12 @@ def sample_direct(
             diagnostics = _judge(model, weighted, float(np.mean(~np.isfinite(chi_square))))
             return weighted.posterior(fit, surrogate, diagnostics)
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
-        used = np.linspace(0, len(flat) - 1, needed).astype(np.int64)
+        used = np.linspace(0, len(flat) - 1, min(needed, len(flat))).astype(np.int64)
         chi_square, surrogate = regress(
             model, flat[used], local.centre, local.covariance, simulating
         )
         log_weights = _log_weights(expected[used], chi_square)
-        effective = effective_size(log_weights) / needed * len(flat)
+        effective = effective_size(log_weights) / used.size * len(flat)
         if best is not None and effective <= best.effective:
             break  # made of draws that hardly weigh: no surrogate made of it can be better
         best = _Weighted(walked, draws, expected, log_weights, effective, len(flat), refits)
