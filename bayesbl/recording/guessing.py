@@ -45,8 +45,8 @@ from bayesbl.units import (
 
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
-        TIME: "t time timestamp stamp zeit uhrzeit temps tempo tijd clock elapsed runtime ts "
-        "sample samples",
+        TIME: "t time timestamp timestamps stamp zeit uhrzeit temps tempo tijd clock elapsed "
+        "runtime ts sample samples",
         MOTOR_SPEED: "speed velocity vel velo omega w rpm erpm drehzahl n dq qd qvel",
         MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q qpos aipos "
         "twist torsion deflection displacement messuhr",
@@ -60,7 +60,8 @@ _TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
 
 _REFERENCE = (
     "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
-    "vorgabe consigne vcmd pcmd tcmd icmd "
+    "vorgabe consigne consigna riferimento referencia vcmd pcmd tcmd icmd "
+    "commanded requested request planned profile prescribed "
     "action"  # of a policy, to the joint
 )
 _SETPOINT = re.compile(r"[^\W\d]\*\s*$|指令|给定")
@@ -72,7 +73,7 @@ _BESIDE = (
     "error err deviation difference diff lag residual abweichung fehler temperature temp "
     "supply bus battery dc freq frequency term "
     "limit limits lim max maximum min minimum peak rated nenn grenze grenzwert threshold "
-    "feedforward ff vorsteuerung "
+    "feedforward ff vorsteuerung quality validity status numericid override "
     "ina"  # a monitor of the supply is called by its chip: INA219
 )
 """Words that mark another quantity beside a channel of that name."""
@@ -86,6 +87,14 @@ _FILTERED = (
 )
 _OF_WINDING, _BY_SYMBOL = "d u v w alpha beta phase flux feldbildend", "id iu iv iw"
 """Words of currents of one winding, or along the flux; id may also be the number of a node."""
+
+_NOT_DRIVING = (
+    "absolute abs betrag input mains netz zwischenkreis reactive direct magnetising magnetizing "
+    "brake brems disturbance stör friction reib gravity cogging holding halte"
+)
+"""Words of currents and torques that do not drive the motor, or have lost their sign."""
+
+_MEASURED = "act actual ist fb feedback measured meas real present"
 
 _CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"  # names of the groups of one joint's columns
@@ -101,7 +110,15 @@ _AXIS = re.compile(r"(?<![^\W_])(?:[aj]\d|ax[ie]s|achse|actual_qd?|qd?_act)", re
 _TOKEN = re.compile(r"\d+|[^\W\d_]+")
 _STEMS = frozenset(
     word
-    for words in (*_NAMES_OF.values(), _REFERENCE, _LOAD, _MOTOR, "ist act actual value wert")
+    for words in (
+        *_NAMES_OF.values(),
+        _REFERENCE,
+        _LOAD,
+        _MOTOR,
+        _NOT_DRIVING,
+        _MEASURED,
+        "value wert",
+    )
     for word in words.split()
     if len(word) > 2
 )
@@ -289,6 +306,12 @@ class _Named:
     def is_flag(self) -> bool:
         """Whether it holds only 0 and 1."""
         return bool(np.all(np.isin(self.values, (0.0, 1.0))))
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether it never changes, as a setpoint."""
+        there = self.values[np.isfinite(self.values)]
+        return bool(np.all(there == there[:1]))
 
     @property
     def increases(self) -> bool:
@@ -696,7 +719,9 @@ def _channel(column: _Named) -> str | None:
         return None
     is_named = column.is_called(_NAMES_OF[MOTOR_CURRENT])
     no_torque = column.is_called(_OF_WINDING) or (column.is_called(_BY_SYMBOL) and not is_named)
-    if kind == MOTOR_CURRENT and no_torque:
+    if kind in _DRIVEN and (
+        column.is_called(_NOT_DRIVING) or (kind == MOTOR_CURRENT and no_torque)
+    ):
         return None
     if column.is_called(_REFERENCE) or _SETPOINT.search(column.stated.bare):
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
@@ -736,6 +761,8 @@ def _rank(column: _Named) -> tuple[bool, ...]:
         column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
         column.stated.unknown is not None,
         not column.is_called(_MOTOR),
+        column.is_constant and _channel(column) == MOTOR_SPEED,
+        not column.is_called(_MEASURED),
         max(map(len, column.words), default=0) == 1,
     )
 
@@ -875,6 +902,7 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
         return None
     there = column.values[np.isfinite(column.values)]
     steps = np.diff(there)
+    steps = -steps if np.all(steps < 0.0) else steps  # the newest first
     if np.all((there > 1990e10) & (there < 2100e10) & (there % 100 < 60) & (there % 1e6 < 24e4)):
         return UNKNOWN, f"write its dates with marks: 2026-03-14T08:12:33, not {there[0]:.0f}"
     of_name = _channel(column) == TIME
