@@ -107,6 +107,12 @@ in a message or for axes."""
 _AXIS = re.compile(r"(?<![^\W_])(?:[aj]\d|ax[ie]s|achse|actual_qd?|qd?_act)", re.IGNORECASE)
 """Names of an axis or its joint, logged behind the gearbox: ``A1``, ``actual_qd_0``."""
 
+_OF_JOINT = re.compile(
+    r"(?<![^\W_])(?:(?i:ax[ie]s|achse|joint|gelenk|drive|antrieb)[\s_.]*(\d+|[A-EX-Z])"
+    r"|(?i:motor|servo|[ajm])[\s_.]*(\d+))(?![^\W_])"
+)
+"""The number or letter of an axis in a name: ``Axis1 speed``, ``Drive_B.Current``."""
+
 _TOKEN = re.compile(r"\d+|[^\W\d_]+")
 _STEMS = frozenset(
     word
@@ -498,6 +504,11 @@ def _names_of_joints(table: ArrayTable) -> list[str]:
     words = {w for each in turning for place, w in each.items() if times[place] > 1}
     words = {word for word in words if word.lower() not in _NO_JOINT}
     driven = [t for t, c in zip(tokens, channels, strict=True) if c in _DRIVEN]
+    found = (_OF_JOINT.search(name) for name in table.columns)
+    numbers = [next(filter(None, match.groups())) if match else "" for match in found]
+    of_axes = {n for n, c in zip(numbers, channels, strict=True) if n and c in _SWITCHED}
+    if not any(own) and len(of_axes) > 1:
+        return [n if c in _SWITCHED else "" for n, c in zip(numbers, channels, strict=True)]
     joints = {*own} - {""} or (words if any(words.intersection(t) for t in driven) else set())
     return [
         of_name or next((word for word in t if word in joints and c in _SWITCHED), "")

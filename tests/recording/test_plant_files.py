@@ -200,6 +200,18 @@ def test_a_current_without_its_sign_or_of_another_part_is_not_taken(
 
 
 @pytest.mark.parametrize(
+    ("speed", "current"),
+    [("Axis1 speed", "Axis2 current"), ("Drive_A.Velocity", "Drive_B.Current"), ("J1 n", "J2 iq")],
+)
+def test_the_only_current_may_be_of_another_axis(speed: str, current: str, tmp_path: Path) -> None:
+    path = written(tmp_path, table(f"Time [s],{speed} [rpm],{current} [A]"))
+    assert set(guessed(path)) == {"time_s", "motor_speed_rpm"}
+    same = current.replace("2", "1").replace("B", "A")
+    path = written(tmp_path, table(f"Time [s],{speed} [rpm],{same} [A]"))
+    assert guessed(path)["motor_current_a"].name == f"{same} [A]"
+
+
+@pytest.mark.parametrize(
     "name", ["Disturbance torque", "Störmoment", "Friction torque", "Holding torque"]
 )
 def test_a_torque_that_does_not_drive_is_not_taken(name: str, tmp_path: Path) -> None:
