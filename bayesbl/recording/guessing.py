@@ -94,6 +94,12 @@ _NOT_DRIVING = (
 )
 """Words of currents and torques that do not drive the motor, or have lost their sign."""
 
+_OF_DRIVE = (
+    "active generating producing momentenbildend wirk quadrature axis joint drive servo value "
+    "channel signal control controller shaft rotor side"
+)
+"""Words of a current or torque that is the motor's."""
+
 _MEASURED = "act actual ist fb feedback measured meas real present"
 
 _CLOCKS = "ms us ns msec usec millis micros"
@@ -399,7 +405,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
     elif not ramps:
         guesses = _of_motor(guesses, chosen, held)
-    columns = tuple(_with_rivals(guesses, named))
+    columns = tuple(_with_rivals(_with_unknown_words(guesses, named), named))
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -776,6 +782,28 @@ def _rank(column: _Named) -> tuple[bool, ...]:
         not column.is_called(_MEASURED),
         max(map(len, column.words), default=0) == 1,
     )
+
+
+def _with_unknown_words(
+    columns: Sequence[GuessedColumn], named: Sequence[_Named]
+) -> list[GuessedColumn]:
+    """A question for a current or torque whose name has a word more, as ``PSU current`` has.
+
+    Words that the speed or the position shares are the joint's name.
+    """
+    words = {c.name: _words(c.stated.bare.rpartition(".")[2].rpartition("/")[2]) for c in named}
+    of_joint = {w for c in columns if c.channel in _TURNING for w in words.get(c.name, ())}
+    doubted = [*columns]
+    for column in columns:
+        own = words.get(column.name, frozenset())
+        unknown = {w for w in own - _NO_JOINT - of_joint if w.isalpha() and len(w) > 2}
+        unknown -= {*_OF_DRIVE.split()}
+        if column.channel not in _DRIVEN or own.isdisjoint(_NAMES_OF[column.channel].split()):
+            continue
+        if unknown and column.name != column.channel:
+            asked = f'"{min(unknown)}" in its name may mean another; {column.reason}'
+            doubted = _changed(doubted, column.channel, reason=asked, doubted=True)
+    return doubted
 
 
 def _with_rivals(columns: Sequence[GuessedColumn], named: Sequence[_Named]) -> list[GuessedColumn]:

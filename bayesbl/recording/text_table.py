@@ -638,8 +638,8 @@ def in_lines(head: Sequence[str]) -> list[str] | None:
         rows = [_split(line, separator) for line in written]
         width = max(map(len, rows), default=0)
         rows = [row for row in rows if len(row) == width]
-        if 1 < len(rows) < width and not any(
-            is_bare_number(row[0]) or not is_number(row[-1]) for row in rows
+        if 1 < len(rows) < width and all(
+            is_number(row[-1]) and not is_value(row[0]) for row in rows
         ):
             return [separator.join(cells) for cells in zip(*rows, strict=True)]
     return None

@@ -220,6 +220,22 @@ def test_a_torque_that_does_not_drive_is_not_taken(name: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
+    ("name", "is_doubted"),
+    [
+        ("PSU current [A]", True),
+        ("Torque sensor [Nm]", True),
+        ("Torque-generating current actual value [A]", False),
+        ("elbow current [A]", False),
+        ("Corrente [A]", False),
+    ],
+)
+def test_a_word_more_in_a_name_is_a_question(name: str, is_doubted: bool, tmp_path: Path) -> None:
+    path = written(tmp_path, table(f"Time [s],elbow speed [rpm],{name}"))
+    *_, driven = guessed(path).values()
+    assert (driven.name, driven.doubted) == (name, is_doubted)
+
+
+@pytest.mark.parametrize(
     ("asked", "measured"),
     [
         ("Consigna de velocidad", "Velocidad real"),

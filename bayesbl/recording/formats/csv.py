@@ -69,13 +69,13 @@ def read(data: bytes) -> ArrayTable:
     if _is_scope_export("\n".join(head)):
         require_memory(TIMES * len(data), "cells of text")
         return _read_scope_export(list(lines_of(text)))
-    if channels := in_lines(head):
-        layout = layout_of(channels, channels[len(channels) // 2 :], len(channels))
-        return replace(table_of_text("\n".join(channels).encode(), layout, control), lines=None)
+    channels = in_lines(head) if len(head) < _HEAD_LINES else None
+    if channels:
+        text, head = "\n".join(channels).encode(), channels[:_HEAD_LINES]
     if (table := in_cells(text, head)) is None:
         layout = layout_of(head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
         table = table_of_text(text, layout, control)
-    return table
+    return replace(table, lines=None) if channels else table
 
 
 def _in_utf8(data: bytes) -> tuple[bytes, int]:
