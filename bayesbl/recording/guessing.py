@@ -85,13 +85,15 @@ _FILTERED = (
     "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt "
     "estimated estimate est observer model simulated virtual geschätzt"
 )
-_OF_WINDING, _BY_SYMBOL = "d u v w alpha beta phase flux feldbildend", "id iu iv iw"
-"""Words of currents of one winding, or along the flux; id may also be the number of a node."""
-
-_NOT_DRIVING = (
-    "absolute abs betrag input mains netz zwischenkreis reactive direct magnetising magnetizing "
-    "brake brems disturbance stör friction reib gravity cogging holding halte"
+_OF_WINDING, _BY_SYMBOL = (
+    "d u v w alpha beta phase flux feldbildend reactive direct magnetising magnetizing "
+    "input mains netz zwischenkreis brake brems",
+    "id iu iv iw",
 )
+"""Words of currents of one winding, along the flux, of the supply or of the brake; id may also be
+the number of a node."""
+
+_NOT_DRIVING = "absolute abs betrag disturbance stör friction reib gravity cogging holding halte"
 """Words of currents and torques that do not drive the motor, or have lost their sign."""
 
 _OF_DRIVE = (
@@ -124,12 +126,7 @@ _STEMS = frozenset(
     word
     for words in (
         *_NAMES_OF.values(),
-        _REFERENCE,
-        _LOAD,
-        _MOTOR,
-        _NOT_DRIVING,
-        _MEASURED,
-        "value wert",
+        f"{_REFERENCE} {_LOAD} {_MOTOR} {_OF_WINDING} {_NOT_DRIVING} {_MEASURED} value wert",
     )
     for word in words.split()
     if len(word) > 2

@@ -217,6 +217,8 @@ def test_the_only_current_may_be_of_another_axis(speed: str, current: str, tmp_p
 def test_a_torque_that_does_not_drive_is_not_taken(name: str, tmp_path: Path) -> None:
     path = written(tmp_path, table(f"Time [s],Speed [rpm],{name} [Nm]"))
     assert set(guessed(path)) == {"time_s", "motor_speed_rpm"}
+    path = written(tmp_path, table("Time [s],Speed [rpm],Input torque [Nm]"))
+    assert "motor_torque_nm" in guessed(path)  # of a gear is the motor's
 
 
 @pytest.mark.parametrize(
