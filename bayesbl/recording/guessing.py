@@ -793,8 +793,10 @@ def _with_unknown_words(
     doubted = [*columns]
     for column in columns:
         own = words.get(column.name, frozenset())
-        unknown = {w for w in own - _NO_JOINT - of_joint if w.isalpha() and len(w) > 2}
-        unknown -= {*_OF_DRIVE.split()}
+        known = (
+            (_NO_JOINT - {"rms"}) | of_joint | {*_OF_DRIVE.split()}
+        )  # rms may have lost its sign
+        unknown = {word for word in own - known if word.isalpha() and len(word) > 2}
         if column.channel not in _DRIVEN or own.isdisjoint(_NAMES_OF[column.channel].split()):
             continue
         if unknown and column.name != column.channel:

@@ -225,6 +225,8 @@ def test_a_torque_that_does_not_drive_is_not_taken(name: str, tmp_path: Path) ->
     ("name", "is_doubted"),
     [
         ("PSU current [A]", True),
+        ("RMS current [A]", True),
+        ("elbow current [Arms]", False),
         ("Torque sensor [Nm]", True),
         ("Torque-generating current actual value [A]", False),
         ("elbow current [A]", False),
