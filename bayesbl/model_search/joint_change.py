@@ -509,7 +509,7 @@ def _largest_hidden(
 ) -> HiddenChange:
     """The undetected change that moves δ most: max |pᵀη| with ηᵀIη = least².
 
-    Neither the change nor any unknown that compensates for it leaves its range.
+    Neither the change nor any unknown that hides it leaves its range.
     """
     matrix = np.column_stack(columns)
     across = derivatives.T @ matrix
@@ -526,9 +526,10 @@ def _largest_hidden(
     unknown, expected = candidate.unknowns[index], float(candidate.neutral[index])
     norm = float(np.linalg.norm(hidden))
     direction = hidden / norm if norm > 0.0 else hidden
-    moved = shifts @ direction
+    # The fit takes a hidden change for one of its unknowns, so these really are elsewhere.
+    truth = -shifts @ direction
     furthest = max(
-        min(end, _room(fit, sign * moved))
+        min(end, _room(fit, sign * truth))
         for sign, end in ((1.0, unknown.high - expected), (-1.0, expected - unknown.low))
     )
     size = min(norm, furthest) if reach > 0.0 else furthest
@@ -538,7 +539,7 @@ def _largest_hidden(
 def _room(fit: SimulatedFit, direction: FloatArray) -> float:
     """How far the unknowns can move in a direction before one leaves its range.
 
-    Friction that would have to become negative elsewhere does not hide a change.
+    Dry friction hides only where the viscous friction that it replaces remains positive.
     """
     ends = np.array([[u.low, u.high] for u in fit.model.unknowns])
     with np.errstate(divide="ignore", invalid="ignore"):
