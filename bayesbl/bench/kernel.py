@@ -3,15 +3,16 @@
 Everything that numba compiles together is in this one file. Its cache checks only the file of the
 outermost function, so a right-hand side kept elsewhere could go stale unnoticed.
 
-State, shape (18,), SI: angle and speed of the gear's input (the motor, unless a belt drives it),
+State, shape (19,), SI: angle and speed of the gear's input (the motor, unless a belt drives it),
 twist Δθ, twist speed Δω, and the integral of the speed error. Then, used only while an effect is
-on: lagged drive torque, lagged speed, Dahl z. Then, used only if the bench has the part: lead of
-the motor over the gear's input and its rate, lead of the load over the arm behind it and its rate,
-angle and speed of the base. Then, used only with a sampled controller: the torque it holds, the one
-it has computed since, and the angle and speed at its last tick. If more than one torque is pending,
-the older ones follow, the newest first. Angles are relative to the base. The load angle is θ/N −
-Δθ, with θ the angle of the gear's input. Twist and twist speed are states of their own, because the
-contact depends on them alone and the step control must see their error.
+on: lagged drive torque, lagged speed, Dahl z. Then, used only if the bench has the part: z of
+friction that builds up over an angle, lead of the motor over the gear's input and its rate, lead of
+the load over the arm behind it and its rate, angle and speed of the base. Then, used only with a
+sampled controller: the torque it holds, the one it has computed since, and the angle and speed at
+its last tick. If more than one torque is pending, the older ones follow, the newest first. Angles
+are relative to the base. The load angle is θ/N − Δθ, with θ the angle of the gear's input. Twist
+and twist speed are states of their own, because the contact depends on them alone and the step
+control must see their error.
 
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
 changes (at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps)
@@ -73,6 +74,8 @@ class Slot(IntEnum):
     sampled_control__period_s = auto()
     sampled_control__delay_periods = auto()
     sampled_control__instant_share = auto()
+    motor_coulomb_friction__width_rad_per_s = auto()
+    motor_coulomb_friction__presliding_rad = auto()
     motor_coulomb_friction__torque_nm = auto()
     motor_viscous_friction__coefficient_nm_s_per_rad = auto()
     motor_stribeck_friction__torque_nm = auto()
@@ -156,20 +159,26 @@ FIRST_ENCODER_SINE = int(Slot["encoder_error__sine_1_rad"])
 FIRST_SKEW = int(Slot.channel_time_skew__position_s)
 AT_MOTOR, AT_LOAD = 1.0, 2.0
 OVER_MOTOR_ANGLE, OVER_LOAD_ANGLE, OVER_SPEED, OVER_TIME = range(4)
-STATES = 18
+STATES = 19
 NEWTON_STEPS = 8  # to rounding, for any hardening within its range
 MOTOR_ANGLE, MOTOR_SPEED, TWIST, TWIST_SPEED, INTEGRAL, DRIVE_TORQUE, SENSED_SPEED, DAHL = range(8)
-BELT_TWIST, BELT_SPEED, ARM_TWIST, ARM_SPEED, BASE_ANGLE, BASE_SPEED = range(8, 14)
-HELD_TORQUE, NEXT_TORQUE, TICK_ANGLE, TICK_SPEED = range(14, 18)
+BRISTLE, BELT_TWIST, BELT_SPEED, ARM_TWIST, ARM_SPEED, BASE_ANGLE, BASE_SPEED = range(8, 15)
+HELD_TORQUE, NEXT_TORQUE, TICK_ANGLE, TICK_SPEED = range(15, 19)
 
 POSITION, SPEED, CURRENT, EVERY = range(4)
 RPM = 60.0 / (2.0 * math.pi)
 PER_PI = 1.0 / math.pi
 
-# sign(ω) of friction is tanh(ω/width), where the width is a share of the joint's reference speed:
-# 1 rpm of 2000. With the output held there is no speed, so the width is fixed.
+# sign(ω) of friction is tanh(ω/width), where the width is at least a share of the joint's reference
+# speed: 1 rpm of 2000. With the output held there is no speed, so the least width is fixed.
 SIGN_WIDTH_SHARE = 5e-4
 HELD_SIGN_WIDTH = 0.1  # rad/s
+# Shortest time, s, in which friction follows the motor's angle. At speed it has long followed: so
+# this bounds the rate of a state that does not move.
+SHORTEST_FOLLOWING_S = 1e-4
+# Angle, rad, far below which friction does not follow the motor's angle but its speed alone: so the
+# limit of no angle is smooth. A hundredth of the smallest that is published.
+LEAST_PRESLIDING_RAD = 1e-5
 # The integral fades out while the demand exceeds the current limit by up to this share of it.
 ANTI_WINDUP_BAND = 0.01
 
@@ -237,6 +246,9 @@ class Constants(NamedTuple):
     rigid: bool
     friction_width: float
     load_friction_width: float
+    added_width: float
+    per_presliding: float
+    presliding_share: float
     gap: float
     reference_angle: float
     phase_offset: float
@@ -299,6 +311,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     for i in range(FIRST_EFFECT, FIRST_SKEW):
         if p[i] != 0.0 and i not in FRICTION:
             effects = True
+    presliding = p[Slot.motor_coulomb_friction__presliding_rad]
+    effects = effects or (presliding > 0.0 and p[Slot.motor_coulomb_friction__torque_nm] != 0.0)
     ratio = p[Slot.gear_ratio]
     rigid = p[Slot.rigid] != 0.0
     structured = not rigid and (
@@ -319,6 +333,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     friction_width = HELD_SIGN_WIDTH
     if fastest_reference > 0.0:
         friction_width = SIGN_WIDTH_SHARE * fastest_reference
+    friction_width += p[Slot.motor_coulomb_friction__width_rad_per_s]
+    per_presliding = 1.0 / presliding if effects and presliding > 0.0 else 0.0
     return Constants(
         ratio,
         1.0 / ratio,
@@ -343,6 +359,9 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         rigid,
         friction_width,
         friction_width / ratio,
+        p[Slot.motor_coulomb_friction__width_rad_per_s],
+        per_presliding,
+        presliding / (presliding + LEAST_PRESLIDING_RAD),
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
@@ -579,7 +598,9 @@ def moving_states(c):  # type: ignore[no-untyped-def]
     """Number of states that change between the ticks of a sampled controller."""
     if c.structured:
         return HELD_TORQUE
-    return BELT_TWIST if c.effects else DRIVE_TORQUE
+    if c.per_presliding > 0.0:
+        return BELT_TWIST
+    return BRISTLE if c.effects else DRIVE_TORQUE
 
 
 @_jit
@@ -588,6 +609,8 @@ def rest_the_loop(y, speed, torque, p, c):  # type: ignore[no-untyped-def]
     if c.effects:
         y[DRIVE_TORQUE] = torque
         y[SENSED_SPEED] = speed
+    if c.per_presliding > 0.0:
+        y[BRISTLE] = direction_of(speed / c.friction_width)
     if c.sampled:
         y[HELD_TORQUE] = torque
         y[NEXT_TORQUE] = torque
@@ -674,9 +697,19 @@ def direction_of(ratio):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
-    """Torque against the motor from motor-side effects, N m."""
-    direction = direction_of(speed / c.friction_width)
+def bent_friction(bristle, speed, c, dy):  # type: ignore[no-untyped-def]
+    """What the sign of dry friction lacks because contacts bend; fills its row of ``dy``."""
+    bent = bristle - direction_of(speed / c.friction_width)
+    rate = (abs(speed) + c.added_width) * c.per_presliding
+    dy[BRISTLE] = -min(rate, 1.0 / SHORTEST_FOLLOWING_S) * bent
+    return c.presliding_share * bent
+
+
+@_jit
+def motor_losses(t, angle, speed, bent, transmitted, p, c):  # type: ignore[no-untyped-def]
+    """Torque against the motor from motor-side effects, N m; ``bent``: added to the sign of dry
+    friction."""
+    direction = direction_of(speed / c.friction_width) + bent
     if not c.effects:
         return c.motor_viscous * speed + c.motor_coulomb * direction
     drift = p[Slot.friction_drift__torque_nm]
@@ -904,7 +937,12 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             dy[DAHL] = (twist_speed - abs(twist_speed) * y[DAHL]) / p[
                 Slot.shaft_hysteresis__angle_rad
             ]
-    losses = motor_losses(t, motor_angle, motor_speed, shaft, p, c)
+    bent = 0.0
+    if c.per_presliding > 0.0:
+        bent = bent_friction(y[BRISTLE], motor_speed, c, dy)
+    elif c.structured:
+        dy[BRISTLE] = 0.0
+    losses = motor_losses(t, motor_angle, motor_speed, bent, shaft, p, c)
     load = load_losses(load_speed, p, c)
     if not c.structured:
         load += gravity_at(load_angle, p, c)
@@ -1430,6 +1468,11 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
         scale[DRIVE_TORQUE] = 1.0 / torque
         scale[SENSED_SPEED] = 1.0 / speed
         scale[DAHL] = abs(p[Slot.shaft_hysteresis__torque_nm]) * c.per_ratio / torque
+        if c.per_presliding > 0.0:
+            dry = abs(p[Slot.motor_coulomb_friction__torque_nm])
+            dry += abs(p[Slot.motor_stribeck_friction__torque_nm])
+            # As much as it acts: so the steps for a small angle are those for none.
+            scale[BRISTLE] = c.presliding_share * dry / torque
         if c.structured:
             rate = max(rate, scale_structure(motor_rate, speed, p, c, scale))
         turning = 0.5 * c.fastest_reference
@@ -1800,7 +1843,7 @@ def stand(angle, speed, acceleration, load, losses, side, p, c, y):  # type: ign
         y[BELT_TWIST] = p[Slot.belt__compliance_rad_per_nm] * carried
         _, y[ARM_TWIST], y[BASE_ANGLE] = hanging(angle, p, c)
     torque = load * c.per_ratio + c.motor_inertia * acceleration
-    return torque + losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    return torque + losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, 0.0, load, p, c)
 
 
 @_jit

@@ -187,7 +187,7 @@ def simulate_motions(
     The first sample is at the motion's start, with the load at ``start_angle_rad`` and all torques
     balanced, on the flank that the load's torque presses on, or on ``start_flank`` if that is 1 or
     −1. A held output starts at rest on the lower flank. With ``states``, all states as from
-    :func:`simulate_states`, shape (m, 18, n).
+    :func:`simulate_states`, shape (m, 19, n).
     """
     out = np.zeros((parameter_matrix.shape[0], STATES if states else 3, samples))
     fastest = 0.0 if motion.output_held else motion.fastest_rpm
@@ -215,7 +215,7 @@ def simulate_states(
     accuracy_rpm: float | None = None,
     friction_width_rad_per_s: float | None = None,
 ) -> FloatArray:
-    """All states from an initial one: free motion, transients, tests of laws. Shape (18, n), SI.
+    """All states from an initial one: free motion, transients, tests of laws. Shape (19, n), SI.
 
     States as in ``kernel``. Those of effects, structure and a sampled controller are zero while
     these are off. A sampled controller has just had a tick. The torques that wait behind it follow

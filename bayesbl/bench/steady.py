@@ -74,7 +74,7 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
 
     Returns
     -------
-    Array of shape (m, 8, 8) or (m, 14, 14), 1/s and SI.
+    Array of shape (m, 8, 8) or (m, 15, 15), 1/s and SI.
     """
     linear = np.zeros_like(matrix)
     linear[:, _LINEAR] = matrix[:, _LINEAR]
@@ -84,11 +84,12 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
         linear[:, lag] = np.maximum(matrix[:, lag], _SHORTEST_LAG_S)
     rigid = matrix[:, Slot.rigid] != 0.0
     linear[np.ix_(rigid, _SPRINGS)] = 0.0
-    size = kernel.HELD_TORQUE if np.any(linear[:, _SPRINGS] != 0.0) else kernel.BELT_TWIST
+    size = kernel.HELD_TORQUE if np.any(linear[:, _SPRINGS] != 0.0) else kernel.BRISTLE
     a = np.empty((matrix.shape[0], size, size))
     for row, system in zip(linear, a, strict=True):
         kernel.contact_matrix(row, system)
-    lacks = {kernel.DAHL: np.ones_like(rigid), kernel.TWIST: rigid, kernel.TWIST_SPEED: rigid}
+    lacks = dict.fromkeys((kernel.DAHL, kernel.BRISTLE), np.ones_like(rigid))
+    lacks |= dict.fromkeys((kernel.TWIST, kernel.TWIST_SPEED), rigid)
     lacks |= {state: linear[:, slot] == 0.0 for slot, states in _PARTS.items() for state in states}
     for state, absent in lacks.items():
         if state < size:
@@ -106,8 +107,8 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    Transition matrix over a period, shape (18 + w, 18 + w); and the response to an error of the
-    speed that the controller sees at its end, shape (18 + w,), SI.
+    Transition matrix over a period, shape (19 + w, 19 + w); and the response to an error of the
+    speed that the controller sees at its end, shape (19 + w,), SI.
     """
     period = parameters[Slot.sampled_control__period_s]
     delay = parameters[Slot.sampled_control__delay_periods]
@@ -158,7 +159,7 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 def contact_rates(matrix: FloatArray) -> ComplexArray:
     """Rates (eigenvalues) of the linear bench's modes on one tooth flank, in time, 1/s.
 
-    Shape (m, 18), plus the waiting torques of a sampled controller. Modes that a bench does not
+    Shape (m, 19), plus the waiting torques of a sampled controller. Modes that a bench does not
     have decay at once.
     """
     waiting = max((waiting_torques(row) for row in matrix), default=0)

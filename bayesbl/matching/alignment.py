@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -87,8 +87,11 @@ def _load_friction(model: SimulatedSignals) -> dict[int, FloatArray]:
     """Values of the load's friction to scan, by index of the unknown.
 
     Friction shifts the flank changes of one rotation against one another, in many joints by half a
-    ringing period, where a fit gets stuck.
+    ringing period, where a fit gets stuck. Motions show both directions, and gravity moves their
+    current by more.
     """
+    if all(observation.motion is not None for observation in model.recordings):
+        return {}
     for index, unknown in enumerate(model.unknowns):
         effect = unknown.name.partition("__")[0]
         if effect in LOAD_FRICTION and unknown.low == unknown.centre and unknown.recording is None:
@@ -306,19 +309,18 @@ def _rotations(
     return simulated[:, [SPEED, CURRENT][:channels]]
 
 
-def valid_variant(fit: SimulatedFit) -> SimulatedFit:
-    """The fit, or if it fails the check, the first of three variants for motions that passes.
+def valid_variant(
+    fit: SimulatedFit, explains: Callable[[SimulatedFit], bool] = is_explained
+) -> SimulatedFit:
+    """The fit, or if it does not explain its recordings, the first variant for motions that does.
 
     A digital drive holds its reference from sample to sample, and friction at a standstill differs
     from that in motion.
     """
     moves = any(observation.motion is not None for observation in fit.model.recordings)
-    if is_explained(fit) or not moves:
+    if not moves or explains(fit):
         return fit
-    for variant in _variants(fit):
-        if is_explained(variant):
-            return variant
-    return fit
+    return next((variant for variant in _variants(fit) if explains(variant)), fit)
 
 
 def _variants(fit: SimulatedFit) -> Iterator[SimulatedFit]:

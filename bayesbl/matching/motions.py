@@ -31,7 +31,7 @@ ANGLES_REFINED = 4
 REFINEMENTS = 2
 FINE_ANGLE = 2.0 * math.pi / ANGLES_SCANNED / 4.0 ** (REFINEMENTS + 1)
 ANGLES_KEPT = 2
-"""Angles that gravity distinguishes by the current, and hardly by the speed alone."""
+"""Angles of a motion by its speed alone: gravity distinguishes them by the current."""
 PAIR_REFINEMENTS = 2
 ABOUT = np.arange(-3.0, 4.0)
 """Neighbours of the best point of a coarser grid, in steps of a finer one, a quarter as long."""
@@ -169,7 +169,8 @@ def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray
         cost = _rough_chi_square(model, trials, 0)
         return trials.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
 
-    likely = [np.zeros(1)] if angle_index is None else _likely_angles(scanned)
+    kept = 1 if len(model.recordings[0].signals) > 1 else ANGLES_KEPT
+    likely = [np.zeros(1)] if angle_index is None else _likely_angles(scanned)[:kept]
     valleys: list[tuple[float, FloatArray]] = []
     for angles in likely:
         points, costs = scanned(GAPS_SCANNED_FINELY, angles)

@@ -115,6 +115,11 @@ USUAL_PERIODS_S = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 USUAL_DELAYS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Dead times in periods from which a controller is fitted, with instantaneous speed and without."""
 
+NEAR_REST = (
+    Slot.motor_coulomb_friction__width_rad_per_s.name,
+    Slot.motor_coulomb_friction__presliding_rad.name,
+)
+
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
 USEFUL_RATIO, USEFUL_LEVEL = 2.0, 0.9
@@ -215,10 +220,10 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
         if effect.name in present:
             existing = present[effect.name]
             values = existing.complete()
-            for item in effect.amplitudes:
+            for item in effect.parameters:
                 stated_value = existing.parameters.get(item.name)
                 sd = 0.0 if stated_value is None else stated_value.sd or 0.0
-                size = max(abs(values[item.name]), sd)
+                size = max(abs(values[item.name]), sd) if item.is_amplitude else sd
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 by_change = changed if item is main else 0.0
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift, by_change)
@@ -254,21 +259,25 @@ def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
     """Add the friction of motor and load, which every joint has and few data sheets state.
 
     Half-normal from zero, with the usual size. At a single speed all friction is viscous, and
-    :func:`_dry_shares` allows for a dry part. Friction that the bench already has stays.
+    :func:`_dry_shares` allows for a dry part. Motions also show how dry friction builds up from
+    rest. Friction that the bench already has stays.
     """
     laws = ["viscous"]
     speeds = [r.reference_speed_rpm for r in recordings]
     moves = any(r.motion is not None for r in recordings)
     if moves or max(speeds) - min(speeds) > ONE_SPEED * max(map(abs, speeds)):
         laws.append("coulomb")
-    added = []
+    effects = {effect.name: effect for effect in bench.effects}
     for side, law in itertools.product(("motor", "load"), laws):
         effect = effect_named(f"{side}_{law}_friction")
-        (item,) = effect.amplitudes
-        friction = EffectParameterValue(0.0, _usual(bench, effect.name))
-        added.append(BenchEffect(effect.name, {item.name: friction}))
-    present = {effect.name for effect in bench.effects}
-    return bench.with_effects(*bench.effects, *(e for e in added if e.name not in present))
+        existing = effects.get(effect.name, BenchEffect(effect.name, {}))
+        unstated = {
+            p.name: EffectParameterValue(0.0, p.typical)
+            for p in parameters_on(bench, effect)
+            if moves or p.is_amplitude
+        }
+        effects[effect.name] = replace(existing, parameters={**unstated, **existing.parameters})
+    return bench.with_effects(*effects.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -437,6 +446,9 @@ class LinearisedFit:
             named = itertools.chain(self.posterior.named, *self.posterior.confounded)
             return label.hypothesis in named
         mean = float(drawn[:, 0].mean())
+        if label.recording is not None and abs(mean) < FIRST_STEP:
+            # Drift within the step of its derivative is linear, and its prior is the same.
+            return False
         # A negative size of a law means something else, so it stays linear.
         return (mean if label.is_positive else abs(mean)) > FAR * float(drawn[:, 0].std())
 
@@ -704,7 +716,7 @@ def with_far_terms_freed(
     not explain the recordings, nothing is freed: a misfit moved the terms, and would move the gaps
     too.
     """
-    nominal = linear_fit = linearised_fit(fit, nuisances)
+    nominal = linear_fit = _with_other_friction(linearised_fit(fit, nuisances), nuisances)
     loops: list[tuple[SimulatedFit, SimulatedFit]] = []
     for rounds in range(MOST_ROUNDS):
         progress(rounds, MOST_ROUNDS)
@@ -716,13 +728,39 @@ def with_far_terms_freed(
         stripped = [trial.without_derivatives() for trial in trials if trial.chi_square < limit]
         loops += [(stripped[0], trial) for trial in stripped[1:]]
         fit = fit_simulated(freed.model, freed.point, freed.steps, one_sided=True)
-        linear_fit = linearised_fit(fit, nuisances)
+        linear_fit = _with_other_friction(linearised_fit(fit, nuisances), nuisances)
+        fit = linear_fit.fit
     if linear_fit is not nominal and linear_fit.explains:
         # One-sided differences rank fits; the one that answers is made and checked with central.
         linear_fit = linearised_fit(fit_simulated(fit.model, fit.point, fit.steps), nuisances)
         if linear_fit.explains:
             return replace(linear_fit, loops=tuple(loops))
     return nominal
+
+
+def _with_other_friction(
+    linear_fit: LinearisedFit, nuisances: Sequence[Direction]
+) -> LinearisedFit:
+    """The same fit, or a better one from another friction near rest if it explains too little.
+
+    χ² has a minimum for friction that builds up over a speed, and one for an angle.
+    """
+    fit = linear_fit.fit
+    unknowns = fit.model.unknowns
+    places = [k for k, u in enumerate(unknowns) if u.name in NEAR_REST and u.recording is None]
+    if not places or linear_fit.explains:
+        return linear_fit
+    better = fit
+    for place in places:
+        start = fit.point.copy()
+        start[places] = 0.0
+        start[place] = unknowns[place].sd
+        with suppress(BenchError):
+            trial = fit_simulated(
+                fit.model, start, fit.steps, one_sided=True, goal=better.chi_square
+            )
+            better = min(better, trial, key=lambda fit: fit.chi_square)
+    return linear_fit if better is fit else linearised_fit(better, nuisances)
 
 
 def other_loops(linear_fit: LinearisedFit) -> list[SimulatedFit]:

@@ -40,6 +40,7 @@ from bayesbl.model_search.always_in import (
     Direction,
     LinearisedFit,
     directions,
+    linearised_fit,
     marginalised,
     other_loops,
     with_far_terms_freed,
@@ -181,7 +182,10 @@ def fit_jointly(
     unknowns += friction_drift(unknowns, nuisances, with_current)
     name = joined([r.name for r in recordings])
     aligning = of_stage(progress, f"Fitting the bench to {name}")
-    nominal = valid_variant(fit_aligned(bench, recordings, unknowns, workers, aligning))
+    nominal = valid_variant(
+        fit_aligned(bench, recordings, unknowns, workers, aligning),
+        lambda fit: linearised_fit(fit, nuisances).explains,
+    )
     allowing = of_stage(progress, f"Allowing for what the bench lacks in {name}")
     linear_fit = with_far_terms_freed(nominal, nuisances, allowing)
     if linear_fit.explains:

@@ -67,12 +67,12 @@ S = Slot
 
 @numba.njit(error_model="numpy")
 def reference_slopes(t, y, p, piece, width):
-    """Slopes of θ_m, ω_m, θ_l, ω_l, ∫error, drive torque, sensed speed, Dahl z.
+    """Slopes of θ_m, ω_m, θ_l, ω_l, ∫error, drive torque, sensed speed, Dahl z, friction's z.
 
     ``piece``: start, ω_ref and θ_ref as polynomials of the time since, lowest power first.
     ``width``: speed of the motor over which friction changes its sign.
     """
-    motor_angle, motor_speed, load_angle, load_speed, integral, drive, seen, dahl = y
+    motor_angle, motor_speed, load_angle, load_speed, integral, drive, seen, dahl, bristle = y
     n = p[S.gear_ratio]
     ks = p[S.shaft_stiffness_nm_per_rad]
     ds = p[S.shaft_damping_nm_s_per_rad]
@@ -144,7 +144,13 @@ def reference_slopes(t, y, p, piece, width):
         drive_slope = (demand - drive) / p[S.current_loop_lag__time_s]
         demand = drive
 
-    turning = math.tanh(motor_speed / width)
+    added = p[S.motor_coulomb_friction__width_rad_per_s]
+    width += added
+    turning, bristle_slope = math.tanh(motor_speed / width), 0.0
+    angle = p[S.motor_coulomb_friction__presliding_rad]
+    if angle > 0.0:
+        bristle_slope = min((abs(motor_speed) + added) / angle, 1e4) * (turning - bristle)
+        turning += angle / (angle + 1e-5) * (bristle - turning)
     losses = p[S.motor_coulomb_friction__torque_nm] * turning
     losses += p[S.motor_viscous_friction__coefficient_nm_s_per_rad] * motor_speed
     if p[S.motor_stribeck_friction__speed_rad_per_s] > 0.0:
@@ -174,6 +180,7 @@ def reference_slopes(t, y, p, piece, width):
             drive_slope,
             seen_slope,
             dahl_slope,
+            bristle_slope,
         ]
     )
 
@@ -192,7 +199,7 @@ def reference_channels(
     fastest = max(float(np.max(np.abs(pieces[:, 1]))), abs(p[Slot.reference_speed_rpm]) / RPM)
     width = 0.1 if held else 5e-4 * fastest
     n = p[Slot.gear_ratio]
-    start = state[:8].copy()
+    start = state[:9].copy()
     start[2] = state[0] / n - state[2]
     start[3] = state[1] / n - state[3]
     shaft_rate = math.sqrt(
@@ -219,7 +226,7 @@ def reference_channels(
             args=(p, piece, width),
             rtol=1e-11,
             # in proportion to what each state does to the motor speed
-            atol=np.array([1e-6, 1e-6, 1e-10, 1e-8, 1e-7, 1e-8, 1e-6, 1e-7]),
+            atol=np.array([1e-6, 1e-6, 1e-10, 1e-8, 1e-7, 1e-8, 1e-6, 1e-7, 1e-8]),
             max_step=0.4 / fastest,
         )
         assert solution.success
@@ -359,7 +366,7 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
     n, constant = p[S.gear_ratio], p[S.torque_constant_nm_per_a]
     free = p.copy()
     free[[S.speed_gain_nm_s_per_rad, S.integral_gain_nm_per_rad]] = 0.0
-    y, (held, coming, angle, speed, *older) = state[:8].copy(), state[HELD_TORQUE:]
+    y, (held, coming, angle, speed, *older) = state[:9].copy(), state[HELD_TORQUE:]
     on_the_way = [coming, *older]  # the newest first
     late = delay - len(older)
     instant = p[S.sampled_control__instant_share]
@@ -377,7 +384,7 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
             method="DOP853",
             args=(free, np.zeros(10), 5e-4 * abs(reference)),
             rtol=1e-11,
-            atol=np.array([1e-9, 1e-7, 1e-12, 1e-9, 1e-7, 1e-8, 1e-6, 1e-7]),
+            atol=np.array([1e-9, 1e-7, 1e-12, 1e-9, 1e-7, 1e-8, 1e-6, 1e-7, 1e-8]),
         )
         return np.asarray(solution.y[:, -1])
 
@@ -498,6 +505,27 @@ def test_motions_keep_the_promise(name: str, effects: list[str]) -> None:
     times = np.arange(samples) / SAMPLING_HZ
     exact = reference_channels(parameters, states[:, 0], times, motion)
     assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
+
+
+@pytest.mark.parametrize(
+    ("width_rad_per_s", "presliding_rad"), [(2.0, 0.0), (0.0, 0.02), (0.0, 1e-3), (1.0, 0.02)]
+)
+def test_friction_near_rest_keeps_the_promise(
+    width_rad_per_s: float, presliding_rad: float
+) -> None:
+    motion, samples = MOTIONS["strokes"], 700
+    names = ["motor_coulomb_friction", "gear_mesh_friction"]
+    parameters = with_effects(np.random.default_rng(3), names)
+    parameters[Slot.start_angle_rad] = motion.start_angle_rad
+    sharp = simulate_motions(parameters[None], motion, samples, SAMPLING_HZ)[0]
+    parameters[S.motor_coulomb_friction__width_rad_per_s] = width_rad_per_s
+    parameters[S.motor_coulomb_friction__presliding_rad] = presliding_rad
+    channels = simulate_motions(parameters[None], motion, samples, SAMPLING_HZ)[0]
+    states = simulate_motions(parameters[None], motion, 1, SAMPLING_HZ, states=True)[0]
+    times = np.arange(samples) / SAMPLING_HZ
+    exact = reference_channels(parameters, states[:, 0], times, motion)
+    assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
+    assert np.max(np.abs(channels[1] - sharp[1])) > 10.0 * PROMISED_RPM
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,16 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from bayesbl.bench.bench import BenchEffect, EffectParameterValue
-from bayesbl.bench.kernel import CURRENT, SPEED, STATES, Slot
+from bayesbl.bench.kernel import (
+    ARM_SPEED,
+    ARM_TWIST,
+    BELT_SPEED,
+    BELT_TWIST,
+    CURRENT,
+    SPEED,
+    STATES,
+    Slot,
+)
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.bench.simulation import simulate_channels, simulate_states
 from bayesbl.bench.steady import contact_rates
@@ -113,15 +122,15 @@ def test_energy_is_kept_without_control_and_damping() -> None:
     states = simulate_states(p, start, 2000, 500.0, accuracy_rpm=1e-4)
     ratio = p[Slot.gear_ratio]
     reducer, load = p[Slot.belt__reducer_share], p[Slot.arm__inertia_share]
-    motor_speed = states[1] + states[9]
+    motor_speed = states[1] + states[BELT_SPEED]
     load_angle, load_speed = states[0] / ratio - states[2], states[1] / ratio - states[3]
-    arm_angle, arm_speed = load_angle - states[10], load_speed - states[11]
+    arm_angle, arm_speed = load_angle - states[ARM_TWIST], load_speed - states[ARM_SPEED]
     motor = p[Slot.motor_inertia_kg_m2]
     energy = 0.5 * motor * ((1.0 - reducer) * motor_speed**2 + reducer * states[1] ** 2)
     inertia = p[Slot.load_inertia_kg_m2]
     energy = energy + 0.5 * inertia * ((1.0 - load) * load_speed**2 + load * arm_speed**2)
-    energy += 0.5 * states[8] ** 2 / p[Slot.belt__compliance_rad_per_nm]
-    energy += 0.5 * states[10] ** 2 / p[Slot.arm__compliance_rad_per_nm]
+    energy += 0.5 * states[BELT_TWIST] ** 2 / p[Slot.belt__compliance_rad_per_nm]
+    energy += 0.5 * states[ARM_TWIST] ** 2 / p[Slot.arm__compliance_rad_per_nm]
     wound = np.maximum(0.0, np.abs(states[2]) - p[Slot.gap_rad])
     energy += 0.5 * p[Slot.shaft_stiffness_nm_per_rad] * wound**2
     far = p[Slot.arm__gravity_share]

@@ -20,12 +20,24 @@ from bayesbl.bench.effect_declaration import (
 # At constant speed, the current increases by T_c/K_t, with the sign of the direction, and the speed
 # shows nothing. Forward and reverse recordings together distinguish it from an offset, several
 # speeds from viscous friction.
+#
+# Near rest, the sign z is no jump. Contacts bend before they slide, so z follows the motor over an
+# angle; lubricants creep, and so do simulated contacts, so its final value grows over a width of
+# speed. With no angle, z = tanh(ω/w); with little width, z is Dahl's. Bristles of machines bend by
+# 1 to 100 µm before they slide, which is 1 to 100 mrad at the radius of a motor's bearings and
+# seals (Armstrong-Hélouvry et al., section 2); simulators use widths of 0.1 to some per cent of the
+# speed. Only reversals show either.
 MOTOR_COULOMB_FRICTION = Effect(
     place=20,
     name="motor_coulomb_friction",
     sentence="Dry friction at the motor that does not depend on speed.",
-    equation="J_m dω_m/dt: − T_c sign ω_m",
-    parameters=(amplitude("torque_nm", "friction torque T_c", high=2.0, typical=0.2),),
+    equation="J_m dω_m/dt: − T_c z, z = sign ω_m; near rest ż = (|ω_m| + w)(tanh(ω_m/w) − z)/θ_p",
+    parameters=(
+        amplitude("torque_nm", "friction torque T_c", high=2.0, typical=0.2),
+        shape("width_rad_per_s", "width of the sign w", high=100.0, typical=2.0, bounded=True),
+        shape("presliding_rad", "angle before sliding θ_p", high=1.0, typical=0.02, bounded=True),
+    ),
+    sought_alone="torque_nm",
     enters="motor",
     depends_on=("direction",),
     data="constant current offset that changes sign with the direction",

@@ -291,7 +291,10 @@ class FreeMotionView(View):
             least, first, most = (share * self._speed for share in WIDTHS)
             ranges[WIDTH] = first, least, most
         for name in effects:
-            for item in effect_named(name).parameters:
+            effect = effect_named(name)
+            for item in effect.parameters:
+                if effect.sought_alone not in (None, item.name):
+                    continue
                 low = 0.0 if item.not_negative else -np.inf
                 high = np.inf if item.unit else item.high
                 if not item.is_amplitude:
