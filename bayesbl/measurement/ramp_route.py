@@ -1,8 +1,8 @@
 """The torque-ramp route: the gap from ramps of the motor's torque with the output held.
 
 δ is half of the play. The play is the distance, at zero torque, between the positions at which
-small ramps leave the joint on either flank, less the unknown part that is compliance held by
-friction. See ``docs/design.md``, "Torque ramps".
+ramps leave the joint on either flank, less the unknown part that is compliance held by friction.
+See ``docs/design.md``, "Torque ramps".
 
 The width between the flanks consists of the dead zone and the compliance that friction holds. If
 that compliance changed from the first recording to the last, the width changes without wear.
@@ -538,7 +538,7 @@ POSTERIOR = Group(
                 | position over torque by least squares along the largest ramps, both sides
             friction_torque_nm! (chain, draw) | N m | friction over the range of the ramps
             held_windup_rad! (chain, draw) | rad
-                | wind-up held by friction, in half the width, if no flank is soft at small torque
+                | wind-up held by friction, in half the width, by the compliance behind the play
             preload_torque_nm! (chain, draw) | N m
                 | torque at which a preloaded joint's flank lifts; 0 with play, NaN where not seen
         """),
@@ -566,8 +566,8 @@ CYCLES = Group(
         elastic_nm (cycle) | N m | torque without friction between the positions left
         friction_nm (cycle) | N m | half the mean height of the loop
         used (cycle) | 1 | whether the width counts (1): the smallest ramps that reach both flanks
-        relative_compliance! | 1 | compliance between the positions left, over that of larger ramps
-        probability_of_play! | 1 | probability that this ratio is above one
+        relative_compliance! | 1 | compliance between the positions left, over that behind them
+        probability_of_play! | 1 | probability that softer flanks are not the whole width
         lost_motion_torque_nm! | N m | torque, both ways, at which lost motion is stated
     """),
 )

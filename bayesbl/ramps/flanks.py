@@ -57,7 +57,7 @@ positions left is a ratio of two numbers near zero. By Dahl's law ramps to half 
 leave 0.26 of their range; a preloaded joint leaves half at three times the friction.
 """
 
-LARGE = 4.0
+TIMES_FRICTION = 4.0
 """Times the friction, to which the largest ramps go at least: up to twice the friction behind the
 play, both ways then slide, as a turn takes twice the friction."""
 
@@ -226,7 +226,7 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks |
     means = [float(np.concatenate(windup).mean()) for windup in windups]
     least_play = [level.width_rad - HELD * mean for level, mean in zip(levels, means, strict=True)]
     for number, level in enumerate(levels):
-        if largest.amplitude_nm < LARGE * largest.friction_nm:
+        if largest.amplitude_nm < TIMES_FRICTION * largest.friction_nm:
             break
         widest = max(larger.width_rad for larger in levels[number:])
         reaches = level.width_rad >= max(least_play[number:])
@@ -255,13 +255,17 @@ def _windup(level: Level, largest: Level) -> list[FloatArray]:
     """Behind the play, over the torque between the positions left: by file and large cycle, rad.
 
     By the largest compliance from e to 2e, e from the friction on: a preload may reach beyond it.
-    Below, the torque without friction is not known, as friction varies by a share of itself from
-    place to place.
+    Below, e is not known: friction varies by a share of itself from place to place, and the torque
+    may rise while the joint crosses the play.
     """
     elastic, width = max(level.elastic_nm, 0.0), level.width_rad
 
     def windup(c: Cycle) -> float:
-        friction = max(c.friction_nm, SMALLEST * c.amplitude_nm)
+        place, *ways = _branches(c)
+        low, high = sorted((c.first.left_rad, c.last.left_rad))
+        height = np.abs(ways[1] - ways[0])[(place >= low) & (place <= high)]
+        between = 0.5 * float(height.mean()) if height.size else 0.0
+        friction = max(between, c.friction_nm, SMALLEST * c.amplitude_nm)
         torque = np.geomspace(friction, max(_most(c), friction), TRIED)
         rise = _width(c, 2.0 * torque) - _width(c, torque)
         return max(0.5 * elastic * float(np.max(rise / torque)), LEAST_WINDUP * width)
@@ -349,8 +353,8 @@ def _lifts(cycle: Cycle) -> float:
     return float(elastic[top]) if is_visible else np.nan
 
 
-def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
-    """Between the positions at ± each torque without friction, rad, same shape."""
+def _branches(cycle: Cycle) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions in equal steps, rad, and the torque of both ways there, N m, same shape."""
     torque, position = cycle.torque_nm, cycle.position_rad
     first, last = cycle.first, cycle.last
     leaves, arrives = first.top, last.top
@@ -358,11 +362,17 @@ def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
     way = np.arange(leaves, arrives + 1)
     other = np.concatenate((np.arange(arrives, last.back + 1), np.arange(first.begin, leaves + 1)))
     place = np.linspace(low, high, way.size)
-    branches = [
+    there, back = (
         # Torque at each place, of a path that goes to larger side · position.
         np.interp(side * place, np.maximum.accumulate(side * position[path]), torque[path])
         for side, path in ((last.side, way), (first.side, other))
-    ]
-    elastic = np.maximum.accumulate(0.5 * (branches[0] + branches[1]))
+    )
+    return place, there, back
+
+
+def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
+    """Between the positions at ± each torque without friction, rad, same shape."""
+    place, there, back = _branches(cycle)
+    elastic = np.maximum.accumulate(0.5 * (there + back))
     width = np.interp(elastic_nm, elastic, place) - np.interp(-elastic_nm, elastic, place)
     return np.asarray(width)
