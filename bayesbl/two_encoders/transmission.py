@@ -7,10 +7,10 @@ With x the motor's position at the load and θ_l the load's,
 where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, how that
 wanders over many strokes, what the ratio is off by (x), the skew of the channels (ẋ), inertia that
 winds the joint up (ẍ), torque that bends it, and the transmission error: harmonics of motor and
-load angle (one curve of the angle, the same both ways, where the load makes less than a turn). β is normal and integrated
-out. The noise e is white beside a process with a correlation time (Ornstein and Uhlenbeck), both by
-the largest evidence: a drift from stroke to stroke so counts once a stroke, not once a sample.
-Counts of the encoders and motion between two samples add to it
+load angle (one curve of the angle, the same both ways, where the load makes less than a turn). β is
+normal and integrated out. The noise e is white beside a process with a correlation time (Ornstein
+and Uhlenbeck), both by the largest evidence: a drift from stroke to stroke so counts once a stroke,
+not once a sample. Counts of the encoders and motion between two samples add to it
 (:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In the gap the load is where it likes,
 so the noise is as wide as the gap there. Misfit that lasts for a stroke is no noise: it moves h, β
 and all together (:class:`Final`).
@@ -22,10 +22,10 @@ lies between both directions, is δ and half of what friction of the load winds 
     h = δ + w/2
 
 w is what makers' sheets let expect, and, where there is a torque, what it does on the way between
-the flanks (:func:`of_windup`) and on them (:class:`Compliance`). δ has a mass at zero. If weight keeps the load on one flank, h is
-w/2 alone, whatever δ is: a third case beside play and none. Skew, eccentricity and a
-wrong ratio make no lag that keeps its size from slow to fast and turns with the direction: they are
-told from play by their evidence, here and not before.
+the flanks (:func:`of_windup`) and on them (:class:`Compliance`). δ has a mass at zero. If weight
+keeps the load on one flank, h is w/2 alone, whatever δ is: a third case beside play and none. Skew,
+eccentricity and a wrong ratio make no lag that keeps its size from slow to fast and turns with the
+direction: they are told from play by their evidence, here and not before.
 """
 
 from __future__ import annotations
