@@ -785,7 +785,8 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     paths, design, half = model.paths, model.design, cell.half_rad
     how = model.courses[cell.course]
     nothing = np.ones(PARTS.size), *np.full((2, PARTS.size), np.nan)
-    if paths.torque_nm is None or half <= 0.0 or how.drives:
+    assert paths.torque_nm is not None
+    if half <= 0.0 or how.drives:
         return nothing
     rest = cell.beta.copy()
     rest[1] = 0.0
@@ -849,7 +850,7 @@ class Compliance:
         bends, shares = np.meshgrid(bends[bends > 0.0], shares)
         self.per_nm = (bends / shares).ravel()
         self.weights = 1.0 / (32 * 8 * bends.ravel())
-        self.weight_of_none = float(norm.pdf(0.0, measured, error))
+        self.weight_of_none = max(float(norm.pdf(0.0, measured, error)), IMPOSSIBLE)
         self.of_way, friction_nm, spread_nm = of_windup(model, cell)
         self.total_nm, shown = total_nm, np.isfinite(friction_nm)
         self.friction_nm = np.where(shown, np.minimum(friction_nm, total_nm), 0.0)
