@@ -160,6 +160,9 @@ PARTS = 1.0 / (1.0 + np.exp(-LOGITS))
 IMPOSSIBLE = 1e-200
 """Likelihood of what the torque excludes: its logarithm is a number."""
 
+LEAST_TORQUE = 1e-6
+"""Of a torque: below it is rounding."""
+
 TORQUE = 4
 """Column of H of what bends the joint, where there is a torque."""
 
@@ -362,7 +365,8 @@ class Design:
             self.friction_nm, self.gravity_holds, rest = of_friction(paths)
             bends = paths.binned(rest)
             plain, names = [*plain, bends], [*names, "torque"]
-            sd.append(MOST_CURVE_RAD / max(float(np.std(bends)), 1e-300))
+            least = LEAST_TORQUE * max(float(np.abs(paths.torque_nm).max()), 1e-300)
+            sd.append(MOST_CURVE_RAD / max(float(np.std(bends)), least))
         wanders = range(1, 1 + min((paths.reversals + 1) // WANDER_STROKES, WANDER_ORDERS))
         when = 2.0 * (self.time_s - self.time_s[0]) / max(np.ptp(self.time_s), 1e-300) - 1.0
         plain += list(legvander(when, len(wanders)).T[1:])
@@ -838,7 +842,7 @@ class Compliance:
         others = np.column_stack([np.delete(columns, TORQUE, axis=1), cell.lag])[on]
         both = np.stack([columns[:, TORQUE], design.motor_rad - cell.lag - design.load_rad], axis=1)
         own, behind = (both[on] - others @ np.linalg.lstsq(others, both[on], rcond=1e-9)[0]).T
-        square = max(float(own @ own), 1e-300)
+        square = max(float(own @ own), own.size * (LEAST_TORQUE * total_nm) ** 2)
         measured = float(own @ behind) / square
         # No torque changes with the place: of the misfit, what repeats there counts once.
         lasts = own.size * model.repeating * misfit_rad**2
