@@ -246,9 +246,7 @@ class Constants(NamedTuple):
     rigid: bool
     friction_width: float
     load_friction_width: float
-    added_width: float
-    per_presliding: float
-    presliding_share: float
+    bends: bool
     gap: float
     reference_angle: float
     phase_offset: float
@@ -311,8 +309,6 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     for i in range(FIRST_EFFECT, FIRST_SKEW):
         if p[i] != 0.0 and i not in FRICTION:
             effects = True
-    presliding = p[Slot.motor_coulomb_friction__presliding_rad]
-    effects = effects or (presliding > 0.0 and p[Slot.motor_coulomb_friction__torque_nm] != 0.0)
     ratio = p[Slot.gear_ratio]
     rigid = p[Slot.rigid] != 0.0
     structured = not rigid and (
@@ -334,7 +330,6 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     if fastest_reference > 0.0:
         friction_width = SIGN_WIDTH_SHARE * fastest_reference
     friction_width += p[Slot.motor_coulomb_friction__width_rad_per_s]
-    per_presliding = 1.0 / presliding if effects and presliding > 0.0 else 0.0
     return Constants(
         ratio,
         1.0 / ratio,
@@ -359,9 +354,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         rigid,
         friction_width,
         friction_width / ratio,
-        p[Slot.motor_coulomb_friction__width_rad_per_s],
-        per_presliding,
-        presliding / (presliding + LEAST_PRESLIDING_RAD),
+        p[Slot.motor_coulomb_friction__presliding_rad] > 0.0,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
@@ -598,7 +591,7 @@ def moving_states(c):  # type: ignore[no-untyped-def]
     """Number of states that change between the ticks of a sampled controller."""
     if c.structured:
         return HELD_TORQUE
-    if c.per_presliding > 0.0:
+    if c.bends:
         return BELT_TWIST
     return BRISTLE if c.effects else DRIVE_TORQUE
 
@@ -609,7 +602,7 @@ def rest_the_loop(y, speed, torque, p, c):  # type: ignore[no-untyped-def]
     if c.effects:
         y[DRIVE_TORQUE] = torque
         y[SENSED_SPEED] = speed
-    if c.per_presliding > 0.0:
+    if c.bends:
         y[BRISTLE] = direction_of(speed / c.friction_width)
     if c.sampled:
         y[HELD_TORQUE] = torque
@@ -697,12 +690,34 @@ def direction_of(ratio):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def bent_friction(bristle, speed, c, dy):  # type: ignore[no-untyped-def]
+def bent_friction(bristle, speed, p, c, dy):  # type: ignore[no-untyped-def]
     """What the sign of dry friction lacks because contacts bend; fills its row of ``dy``."""
     bent = bristle - direction_of(speed / c.friction_width)
-    rate = (abs(speed) + c.added_width) * c.per_presliding
+    rate = abs(speed) + p[Slot.motor_coulomb_friction__width_rad_per_s]
+    rate /= p[Slot.motor_coulomb_friction__presliding_rad]
     dy[BRISTLE] = -min(rate, 1.0 / SHORTEST_FOLLOWING_S) * bent
-    return c.presliding_share * bent
+    return presliding_share(p) * bent
+
+
+@_jit
+def presliding_share(p):  # type: ignore[no-untyped-def]
+    """Share of :func:`bent_friction` that acts: none in the limit of no angle."""
+    presliding = p[Slot.motor_coulomb_friction__presliding_rad]
+    return presliding / (presliding + LEAST_PRESLIDING_RAD)
+
+
+@_jit
+def settle(y, per_allowance, c):  # type: ignore[no-untyped-def]
+    """End the bending of dry friction when it is less than a step's allowed error.
+
+    So it ends in a finite time, after which its rate limits no step.
+    """
+    speed = y[MOTOR_SPEED]
+    if c.structured:
+        speed += y[BELT_SPEED]
+    sign = math.copysign(1.0, speed)
+    if abs(speed) > CLEAR * c.friction_width and abs(y[BRISTLE] - sign) * per_allowance < 1.0:
+        y[BRISTLE] = sign
 
 
 @_jit
@@ -938,8 +953,8 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
                 Slot.shaft_hysteresis__angle_rad
             ]
     bent = 0.0
-    if c.per_presliding > 0.0:
-        bent = bent_friction(y[BRISTLE], motor_speed, c, dy)
+    if c.bends:
+        bent = bent_friction(y[BRISTLE], motor_speed, p, c, dy)
     elif c.structured:
         dy[BRISTLE] = 0.0
     losses = motor_losses(t, motor_angle, motor_speed, bent, shaft, p, c)
@@ -1000,7 +1015,7 @@ def contact_matrix(p, a):  # type: ignore[no-untyped-def]
 @_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """Time derivative of the state into ``dy`` (docs/design.md, "The virtual bench")."""
-    if not c.plain:
+    if c.bends or not c.plain:
         full_right_hand_side(t, y, region, p, c, dy)
         return
     # The bench with no effects but friction, short enough to be inlined into the stages.
@@ -1224,6 +1239,8 @@ def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
     least = CLEAR * c.friction_width
     speed = y[MOTOR_SPEED]
     if c.structured and not abs(speed + y[BELT_SPEED]) > least:
+        return False
+    if c.bends and abs(y[BRISTLE]) != 1.0:
         return False
     return abs(speed) > least and abs(speed - c.ratio * y[TWIST_SPEED]) > least
 
@@ -1464,15 +1481,15 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
         # A difference over a short period amplifies the error of the angle.
         per_period = 1.0 / p[Slot.sampled_control__period_s]
         scale[MOTOR_ANGLE] = max(scale[MOTOR_ANGLE], per_period / speed)
+    if c.bends:
+        dry = abs(p[Slot.motor_coulomb_friction__torque_nm])
+        dry += abs(p[Slot.motor_stribeck_friction__torque_nm])
+        # As much as it acts: so the steps for a small angle are those for none.
+        scale[BRISTLE] = presliding_share(p) * dry / torque
     if c.effects:
         scale[DRIVE_TORQUE] = 1.0 / torque
         scale[SENSED_SPEED] = 1.0 / speed
         scale[DAHL] = abs(p[Slot.shaft_hysteresis__torque_nm]) * c.per_ratio / torque
-        if c.per_presliding > 0.0:
-            dry = abs(p[Slot.motor_coulomb_friction__torque_nm])
-            dry += abs(p[Slot.motor_stribeck_friction__torque_nm])
-            # As much as it acts: so the steps for a small angle are those for none.
-            scale[BRISTLE] = c.presliding_share * dry / torque
         if c.structured:
             rate = max(rate, scale_structure(motor_rate, speed, p, c, scale))
         turning = 0.5 * c.fastest_reference
@@ -1706,6 +1723,8 @@ def integrate(  # type: ignore[no-untyped-def]
                         t, h, dense, row, next_sample[row], begin, moments, out, y, p, c
                     )
         t = stop_time if last else pause if ends else t + h
+        if c.bends:
+            settle(y_new, scale[BRISTLE], c)
         for i in range(n):
             y[i] = y_new[i]
             k[0, i] = k[6, i]
