@@ -324,7 +324,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     )
     held = math.isinf(p[Slot.load_inertia_kg_m2])
     sampled = p[Slot.sampled_control__period_s] > 0.0
-    plain = not (effects or rigid or held)
+    bends = p[Slot.motor_coulomb_friction__presliding_rad] > 0.0
+    plain = not (effects or bends or rigid or held)
     fastest_reference = abs(p[Slot.reference_speed_rpm] / RPM)
     friction_width = HELD_SIGN_WIDTH
     if fastest_reference > 0.0:
@@ -354,7 +355,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         rigid,
         friction_width,
         friction_width / ratio,
-        p[Slot.motor_coulomb_friction__presliding_rad] > 0.0,
+        bends,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
         reference_angle,
         p[Slot.motor_start_angle_rad] - ratio * p[Slot.start_angle_rad],
@@ -1015,7 +1016,7 @@ def contact_matrix(p, a):  # type: ignore[no-untyped-def]
 @_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """Time derivative of the state into ``dy`` (docs/design.md, "The virtual bench")."""
-    if c.bends or not c.plain:
+    if not c.plain:
         full_right_hand_side(t, y, region, p, c, dy)
         return
     # The bench with no effects but friction, short enough to be inlined into the stages.
@@ -1595,7 +1596,8 @@ def integrate(  # type: ignore[no-untyped-def]
     if p[Slot.shaft_hysteresis__torque_nm] != 0.0:
         per_friction_angle = 1.0 / p[Slot.shaft_hysteresis__angle_rad]
     # A torque that the recorder sees several times a period is logged when it begins to act.
-    by_period = c.plain and not (repeated or averaged) and period <= shortest
+    by_period = not (c.effects or c.rigid or c.held or repeated or averaged)
+    by_period = by_period and period <= shortest
     rows = of_whole_ticks(delay - c.waiting, p, c) if by_period else np.zeros((0, 4, 8))
     fresh = False
     evaluations = 0
@@ -1704,6 +1706,8 @@ def integrate(  # type: ignore[no-untyped-def]
                 dense_coefficients(y, y_new, h, k, dense)
             else:
                 h_next = h * factor
+            if c.bends:
+                settle(y_new, scale[BRISTLE], c)
 
         if averaged:
             next_average, next_sample[SPEED] = emit_average(
@@ -1723,8 +1727,6 @@ def integrate(  # type: ignore[no-untyped-def]
                         t, h, dense, row, next_sample[row], begin, moments, out, y, p, c
                     )
         t = stop_time if last else pause if ends else t + h
-        if c.bends:
-            settle(y_new, scale[BRISTLE], c)
         for i in range(n):
             y[i] = y_new[i]
             k[0, i] = k[6, i]
