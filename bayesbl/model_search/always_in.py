@@ -374,7 +374,7 @@ class Label:
                 continue
             # The recordings alone decide the size of a change.
             sd = scale / CHANGED_SHARE if self.cause else scale
-            low = LEAST_SHARE * value - value if is_bounded else -math.inf
+            low = max(LEAST_SHARE * value, lower) - value if is_bounded else -math.inf
             # In proportion to the value of this range, not to the bench's value.
             unknowns.append(
                 Unknown(

@@ -528,6 +528,19 @@ def test_friction_near_rest_keeps_the_promise(
     assert np.max(np.abs(channels[1] - sharp[1])) > 10.0 * PROMISED_RPM
 
 
+def test_friction_that_hardly_bends_jumps_between_ticks() -> None:
+    """The limit of no angle is smooth, though its rate is fast compared with the ticks."""
+    motion, samples = MOTIONS["strokes"], 700
+    parameters = with_effects(np.random.default_rng(3), ["motor_coulomb_friction"])
+    parameters[Slot.start_angle_rad] = motion.start_angle_rad
+    parameters[S.sampled_control__period_s] = 1e-3
+    matrix = np.repeat(parameters[None], 3, axis=0)
+    matrix[:, S.motor_coulomb_friction__presliding_rad] = 0.0, 1e-9, 1e-7
+    jumps, hardly, little = simulate_motions(matrix, motion, samples, SAMPLING_HZ)[:, 1]
+    assert np.max(np.abs(hardly - jumps)) < PROMISED_RPM
+    assert np.max(np.abs(little - jumps)) < 100.0 * PROMISED_RPM
+
+
 @pytest.mark.parametrize(
     "effects",
     [[], ["motor_coulomb_friction", "gear_mesh_friction", "current_loop_lag"]],

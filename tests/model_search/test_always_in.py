@@ -379,6 +379,13 @@ def test_the_least_that_a_change_leaves_is_a_hundredth_of_what_there_was(share: 
     assert after == pytest.approx(0.01 * value)
 
 
+def test_drift_of_an_absent_law_is_at_least_what_shows() -> None:
+    """A mean over no time is another limit of a sampled drive: a fit got stuck there."""
+    (averaging,) = [d for d in directions(BENCH, {}) if d.slot.startswith("speed_averaging")]
+    (drift,) = Label((averaging,), "after").unknowns(BENCH.vector()[0], np.ones(1))
+    assert drift.low == effect_named("speed_averaging").main_amplitude.sought_from
+
+
 def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     """The change was 14 standard deviations off, and the gap "grew, > 99.9 %"."""
     nominal = pair(scaled(**{INERTIA: 1.03, STIFFNESS: 0.99}))
