@@ -533,7 +533,7 @@ def test_friction_that_hardly_bends_jumps_between_ticks() -> None:
     motion, samples = MOTIONS["strokes"], 700
     parameters = with_effects(np.random.default_rng(3), ["motor_coulomb_friction"])
     parameters[Slot.start_angle_rad] = motion.start_angle_rad
-    parameters[S.sampled_control__period_s] = 1e-3
+    parameters[S.sampled_control__period_s] = 5e-4
     matrix = np.repeat(parameters[None], 3, axis=0)
     matrix[:, S.motor_coulomb_friction__presliding_rad] = 0.0, 1e-9, 1e-7
     jumps, hardly, little = simulate_motions(matrix, motion, samples, SAMPLING_HZ)[:, 1]

@@ -382,7 +382,7 @@ def test_the_least_that_a_change_leaves_is_a_hundredth_of_what_there_was(share: 
 def test_drift_of_an_absent_law_is_at_least_what_shows() -> None:
     """A mean over no time is another limit of a sampled drive: a fit got stuck there."""
     (averaging,) = [d for d in directions(BENCH, {}) if d.slot.startswith("speed_averaging")]
-    (drift,) = Label((averaging,), "after").unknowns(BENCH.vector()[0], np.ones(1))
+    (drift,) = Label((averaging,), "after", "filter").unknowns(BENCH.vector()[0], np.ones(1))
     assert drift.low == effect_named("speed_averaging").main_amplitude.sought_from
 
 
