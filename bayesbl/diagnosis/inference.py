@@ -252,13 +252,13 @@ class Series:
     @cached_property
     def _decay(self) -> FloatArray:
         """1/k of the cosines, then of the sines, (2 orders,)."""
-        return np.tile(1.0 / np.arange(1, self.orders + 1), 2)
+        return np.tile(1.0 / np.arange(1, self.orders + 1) ** 2, 2)
 
     @cached_property
     def means(self) -> FloatArray:
-        """Means of the waves over the recorded range, (2 orders,). They are subtracted, because a
-        constant torque is an effect of the catalogue."""
-        low, high = self.reach
+        """Means of the waves over the recorded range, or their values at standstill, (2 orders,).
+        They are subtracted, because a constant torque and dry friction are in the catalogue."""
+        low, high = (0.0, 0.0) if self.variable == "motor_speed" else self.reach
         x = np.linspace(low, min(high, low + self.period), 1000)
         return np.asarray(self._waves(x).mean(axis=0))
 
@@ -291,12 +291,14 @@ class Series:
 class Discrepancy:
     """Columns of one kind of discrepancy, (N, m), scaled to equal priors.
 
-    ``series``: the torque that they make up, if any.
+    ``series``: the torque that they make up, if any. ``of``: the candidate whose departures in each
+    recording they are, if any.
     """
 
     kind: str
     columns: FloatArray
     series: Series | None = None
+    of: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -690,8 +692,22 @@ class Inference:
                 middle = math.atan2(share @ np.sin(value), share @ np.cos(value))
                 value = middle + np.angle(np.exp(1j * (value - middle)))
             spread = float(share @ (variance + (value - middle) ** 2))
+            if name == candidate.parameters[0]:
+                spread += self._between_recordings(label)
             estimates[name] = Estimate(middle, math.sqrt(spread))
         return estimates
+
+    def _between_recordings(self, label: str) -> float:
+        """Variance of a candidate's mean size, because it differs between the recordings.
+
+        Σ c²/(R (R − 1)), with the departures c of R recordings from their mean.
+        """
+        discrepancies = zip(self.model.discrepancies, self.groups, strict=True)
+        groups = [group for discrepancy, group in discrepancies if discrepancy.of == label]
+        draws = np.hstack([np.zeros((DRAWS, 0)), *(self.draws.discrepancy[:, g] for g in groups)])
+        recordings = len(self.model.rows.recordings)
+        apart = draws - draws.mean(axis=1, keepdims=True) if groups else draws
+        return float(np.sum(apart**2)) / DRAWS / max(1, recordings * (recordings - 1))
 
     def change(self, name: str) -> Estimate:
         """Change of a parameter: the sum of its nuisance and its candidate, if it has them."""
@@ -745,15 +761,6 @@ class Inference:
         nuisances, *parts = np.split(values, np.cumsum(widths)[:-1])
         sizes = {k: part * self.terms[k].unit for k, part in zip(chosen, parts, strict=False)}
         return Coefficients(nuisances, sizes, dict(zip(groups, parts[len(chosen) :], strict=True)))
-
-    def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
-        """Linear parameters of a candidate in a projection."""
-        candidate = self.labels[label]
-        size = fitted.sizes[self.posterior.likeliest(label)]
-        if not candidate.is_wave:
-            return dict(zip(candidate.parameters, size.tolist(), strict=True))
-        waves = _of_waves(candidate, size[None], np.zeros((1, size.size, size.size)))
-        return {name: float(value[0]) for name, (value, _) in waves.items()}
 
     def is_none(self, fitted: Coefficients, label: str) -> bool:
         """Whether a projection leaves nothing of a candidate whose sign is known."""
@@ -850,9 +857,8 @@ def inferred(
     for done in range(1, rounds):
         if progress is not None:
             progress("Comparing sets of effects", done, rounds)
-        noises = inference.residual_noise()
         view = view.refined(inference)
-        inference = Inference(view.model, noises)
+        inference = Inference(view.model)
     return view, inference
 
 
@@ -886,16 +892,15 @@ def diagnose(
     if view.model is not inference.model:
         at = Inference(view.model, inference.noises)
     named, fitted = _fitted(at, named, [] if group is None else [group])
-    learned = None if group is None else learned_answer(at, fitted, group)
+    learned = None if group is None else learned_answer(at, group)
     kinds = {label: inference.labels[label].kind for label, _ in named}
     estimates = {
-        name: Estimate(bench.value(name) + value, inference.change(name).sd)
-        for name, value in zip(at.model.names, fitted.nuisances, strict=True)
-        if name in PARAMETER_INFO
+        name: replace(change, value=bench.value(name) + change.value)
+        for name, change in ((n, at.change(n)) for n in at.model.names if n in PARAMETER_INFO)
     }
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
-        (size,) = at.of_projection(fitted, label).values()
-        estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
+        size = at.values(label)[label]
+        estimates[label] = replace(size, value=bench.value(label) + size.value)
     after, before = at.predicted(fitted), at.model.without
     if before is None:
         before = at.predicted(Coefficients(at.model.by_nuisances))
@@ -913,7 +918,7 @@ def diagnose(
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
     effects = [
-        _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
+        _effect(at, label, alike, inference.probability((label, *alike)), scale_sd)
         for label, alike in named
         if kinds[label] == "effect" and label not in silent
     ]
@@ -1017,16 +1022,13 @@ def _learned_group(inference: Inference) -> int | None:
 def _effect(
     inference: Inference,
     label: str,
-    fitted: Mapping[str, float],
     alike: tuple[str, ...],
+    probability: float,
     scale_sd: float,
 ) -> NamedEffect:
     candidate = inference.labels[label]
     parameters = inference.values(label)
-    for name, value in fitted.items():
-        parameters[name] = Estimate(value, parameters[name].sd)
     size = parameters[candidate.parameters[0]]
-    probability = inference.probability((label, *alike))
     z = abs(size.value) / max(size.sd, _TINY)
     units = {p.name: p.unit for p in effect_named(candidate.name).parameters}
     parameters = with_shared_scale(parameters, units, scale_sd)
@@ -1074,13 +1076,13 @@ def compared_pieces(rows: Rows, before: FloatArray, after: FloatArray) -> tuple[
     )
 
 
-def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> LearnedAnswer | None:
+def learned_answer(inference: Inference, group: int) -> LearnedAnswer | None:
     """A discrepancy group as a torque over its variable; ``None`` if it is no torque."""
     series = inference.model.discrepancies[group].series
     if series is None:
         return None
     draws = inference.draws.discrepancy[:, inference.groups[group]]
-    term = series.torque(fitted.discrepancy[group], draws.std(axis=0))
+    term = series.torque(draws.mean(axis=0), draws.std(axis=0))
     low, high = series.reach
     if high - low > term.period:
         low, high = -0.5 * term.period, 0.5 * term.period

@@ -161,6 +161,12 @@ MOST_ORDERS, MOST_LINES = 8, 4
 FINER = 5
 """Number of shapes between the neighbours of a probable one."""
 
+DRIFTING = ("motor_coulomb_friction", "motor_viscous_friction")
+"""Friction that differs between recordings, as grease warms up."""
+
+SMOOTH_ORDERS = 2
+"""Orders of the discrepancy's torques in the fit to which everything else is a departure."""
+
 DRIFT_ORDERS = 6
 """Number of cosines over the time of a recording: slower than friction that warms up."""
 
@@ -430,7 +436,7 @@ class InverseView(View):
             base if self.shown.all() else np.where(self.shown, base, self._base_above),
             nuisances,
             tuple(self._candidates()),
-            (*self._torques(), self._drift()),
+            (*self._torques(), self._drift(), *self._between_recordings()),
             sds,
         )
 
@@ -491,7 +497,7 @@ class InverseView(View):
 
     # The discrepancy
 
-    def _torques(self) -> Iterator[Discrepancy]:
+    def _torques(self, orders: int = LEARNED_HARMONICS) -> Iterator[Discrepancy]:
         """A torque over each variable."""
         ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
@@ -503,13 +509,13 @@ class InverseView(View):
                 ]
             )
             reach = (float(values.min()), float(values.max()))
-            series = Series(variable, period, reverses, LEARNED_HARMONICS, reach)
+            series = Series(variable, period, reverses, orders, reach)
 
             def columns(motion: Motion, series: Series = series) -> FloatArray:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 return waves * direction(motion)[:, None] if series.reverses else waves
 
-            key = (series.kind, period, self.width)
+            key = (series.kind, period, orders, self.width)
             yield Discrepancy(series.kind, self._torque(key, columns), series)
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
@@ -523,7 +529,7 @@ class InverseView(View):
         yield from (("load_angle", load_period, reverses) for reverses in (False, True))
         if self._longest_rad >= turn and (self.phases_shared or len(self.rows.recordings) == 1):
             yield "motor_angle", turn, False
-        yield from (("motor_speed", 4.0 * fastest, reverses) for reverses in (False, True))
+        yield "motor_speed", 4.0 * fastest, True
 
     def _drift(self) -> Discrepancy:
         """A torque that drifts in each fitted recording."""
@@ -535,6 +541,15 @@ class InverseView(View):
 
         columns = self._compared("drift", waves) * self.rows.used[:, None]
         return Discrepancy("time", self.rows.by_recording(columns))
+
+    def _between_recordings(self) -> Iterator[Discrepancy]:
+        """Departures of each recording's friction from its mean over the recordings."""
+        recordings = len(self.rows.recordings)
+        for name in (n for n in DRIFTING if n in self.laws and recordings > 1):
+            signal = self._signal(name, {self.laws[name].amplitude: 1.0})
+            apart = np.eye(recordings) - 1.0 / recordings
+            columns = self.rows.by_recording(signal[:, None]) @ apart
+            yield Discrepancy(f"{name}_between_recordings", columns, of=name)
 
     # Towards the fit
 
@@ -616,7 +631,8 @@ class InverseView(View):
             if law.scanned is None and not law.linear:
                 columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
         waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
-        return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves])
+        smooth = (d.columns for d in self._torques(SMOOTH_ORDERS))
+        return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves, *smooth])
 
     @cached_property
     def _by_linear(self) -> FloatArray:
