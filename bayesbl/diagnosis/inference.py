@@ -33,7 +33,12 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, Use, disagreement_table
-from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
+from bayesbl.model_search.constants import (
+    EXPECTED_HYPOTHESES,
+    FORM_SHARE,
+    LEARNED_SHARE,
+    NAMED_AT,
+)
 from bayesbl.model_search.linear import (
     DiscrepancyGroup,
     Draws,
@@ -252,7 +257,7 @@ class Series:
     @cached_property
     def _decay(self) -> FloatArray:
         """1/k of the cosines, then of the sines, (2 orders,)."""
-        return np.tile(1.0 / np.arange(1, self.orders + 1) ** 2, 2)
+        return np.tile(1.0 / np.arange(1, self.orders + 1), 2)
 
     @cached_property
     def means(self) -> FloatArray:
@@ -313,6 +318,9 @@ class AffineModel:
         Prior standard deviations of nuisances, around their value in ``base``; others are flat.
     without
         Prediction of a fit without any effect, (N,), if base and nuisances alone are none.
+    forms
+        Torques by which laws depart from their forms, always in: columns per unit of the channel,
+        (N, m), by kind.
     bands
         Rows with unknown errors.
     noises
@@ -326,6 +334,7 @@ class AffineModel:
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
     without: FloatArray | None = None
+    forms: Mapping[str, FloatArray] = field(default_factory=dict)
     bands: tuple[MisfitBand, ...] = ()
     noises: Sequence[ResidualNoise] | None = None
     most_terms: int = MOST_TERMS
@@ -403,9 +412,6 @@ def with_shared_scale(
 
 DRAWS = 1000
 """Number of posterior draws: a standard deviation is exact to 2 %."""
-
-DISCREPANCY_SHARE = 0.1
-"""Usual share of a discrepancy in the root mean square of the compared signal."""
 
 EXCESS = 3.4
 """Residual over the noise floor up to which it is taken for noise. Slow noise and drift exceed the
@@ -563,6 +569,9 @@ class Inference:
                     unit=unit,
                     source=(candidate, look),
                 )
+        for kind, columns in self.model.forms.items():
+            unit = np.full(columns.shape[1], FORM_SHARE * self._level)
+            yield Term(kind, columns[self.model.rows.used] * unit, always=True, unit=unit)
 
     @cached_property
     def _rounding(self) -> float:
@@ -601,15 +610,15 @@ class Inference:
             return np.asarray((rows.T / self.sizes).T)
 
         model = self.model
-        hypotheses = len({term.hypothesis for term in terms})
+        hypotheses = len({term.hypothesis for term in terms if not term.always})
         another = EXPECTED_HYPOTHESES / max(1, hypotheses)
         for k, term in enumerate(terms):
-            candidate, _ = term.source
+            weight = term.prior_weight
             # A law that contains another one is that law plus a departure: two hypotheses.
-            is_double = candidate.kind == "effect" and candidate.excludes
-            weight = term.prior_weight * (another if is_double else 1.0)
+            if term.excludes and term.source[0].kind == "effect":
+                weight *= another
             terms[k] = replace(term, columns=scaled(term.columns), prior_weight=weight)
-        usual = DISCREPANCY_SHARE * self._level / self._shown_size
+        usual = FORM_SHARE * self._level / self._shown_size
         groups = [
             DiscrepancyGroup(d.kind, columns, usual)
             for d, columns in zip(model.discrepancies, self.groups, strict=True)
@@ -641,7 +650,7 @@ class Inference:
     @cached_property
     def labels(self) -> Mapping[str, Candidate]:
         """Candidates that the recordings show, by label."""
-        return {term.hypothesis: term.source[0] for term in self.terms}
+        return {term.hypothesis: term.source[0] for term in self.terms if not term.always}
 
     @cached_property
     def sure(self) -> tuple[tuple[str, ...], ...]:
@@ -799,10 +808,16 @@ class Inference:
         return np.asarray(total)
 
     def discrepancy(self) -> FloatArray:
-        """Posterior mean of the discrepancy, (N,)."""
+        """Posterior mean of the discrepancy and of departures from the laws' forms, (N,)."""
         total = np.zeros(self.model.base.size)
         for g, size in self.average.discrepancy.items():
             total += self.model.discrepancies[g].columns @ size
+        ends = np.cumsum([term.columns.shape[1] for term in self.terms])
+        for term, end in zip(self.terms, ends, strict=True):
+            if term.always:
+                columns = self.model.forms[term.hypothesis]
+                sizes = self.draws.sizes[:, end - columns.shape[1] : end]
+                total += columns @ (sizes.mean(axis=0) * term.unit)
         return total
 
     def residual_noise(self) -> Sequence[ResidualNoise]:

@@ -164,8 +164,8 @@ FINER = 5
 DRIFTING = ("motor_coulomb_friction", "motor_viscous_friction")
 """Friction that differs between recordings, as grease warms up."""
 
-SMOOTH_ORDERS = 2
-"""Orders of the discrepancy's torques in the fit to which everything else is a departure."""
+FORM_ORDERS = 3
+"""Orders of the torques by which laws depart from their forms: those that look like a law."""
 
 DRIFT_ORDERS = 6
 """Number of cosines over the time of a recording: slower than friction that warms up."""
@@ -424,7 +424,7 @@ class InverseView(View):
     @cached_property
     def model(self) -> AffineModel:
         """Model at the skew and the width."""
-        base, nuisances = self.base, dict(self._nuisances)
+        base, nuisances, torques = self.base, dict(self._nuisances), tuple(self._torques())
         sds = believed_sds(self.bench, self.unknown)
         if self.slopes is not None:
             delay, smoothing = self.recorder.delay_s, self.recorder.smoothing_s2
@@ -436,8 +436,9 @@ class InverseView(View):
             base if self.shown.all() else np.where(self.shown, base, self._base_above),
             nuisances,
             tuple(self._candidates()),
-            (*self._torques(), self._drift(), *self._between_recordings()),
+            (*torques, self._drift(), *self._between_recordings()),
             sds,
+            forms={d.kind: d.columns for d in torques},
         )
 
     def _candidates(self) -> Iterator[Candidate]:
@@ -521,15 +522,17 @@ class InverseView(View):
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
         """Variable, period, and whether the torque reverses with the speed."""
         turn = 2.0 * math.pi
-        # Twice the load's travel; beyond two turns, whatever repeats does so over one.
+        # Four times the load's travel, so that a part is nearly straight, as a spring is; beyond two
+        # turns, whatever repeats does so over one.
         angles = np.concatenate([part.motion.angle for part in self.used])
         travel = float(np.ptp(angles)) / self.bench.value("gear_ratio")
-        load_period = turn if travel >= 2.0 * turn else 2.0 * travel
+        load_period = max(min(4.0 * travel, 2.0 * turn), 2.0 * travel)
+        load_period = turn if travel >= 2.0 * turn else load_period
         fastest = max(float(np.abs(part.motion.speed).max()) for part in self.used)
         yield from (("load_angle", load_period, reverses) for reverses in (False, True))
         if self._longest_rad >= turn and (self.phases_shared or len(self.rows.recordings) == 1):
             yield "motor_angle", turn, False
-        yield "motor_speed", 4.0 * fastest, True
+        yield "motor_speed", 4.0 * fastest, False
 
     def _drift(self) -> Discrepancy:
         """A torque that drifts in each fitted recording."""
@@ -631,8 +634,8 @@ class InverseView(View):
             if law.scanned is None and not law.linear:
                 columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
         waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
-        smooth = (d.columns for d in self._torques(SMOOTH_ORDERS))
-        return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves, *smooth])
+        forms = (d.columns for d in self._torques(FORM_ORDERS))
+        return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves, *forms])
 
     @cached_property
     def _by_linear(self) -> FloatArray:
