@@ -33,12 +33,7 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, Use, disagreement_table
-from bayesbl.model_search.constants import (
-    EXPECTED_HYPOTHESES,
-    FORM_SHARE,
-    LEARNED_SHARE,
-    NAMED_AT,
-)
+from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, FORM_SHARE, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import (
     DiscrepancyGroup,
     Draws,
@@ -296,13 +291,17 @@ class Series:
 class Discrepancy:
     """Columns of one kind of discrepancy, (N, m), scaled to equal priors.
 
-    ``series``: the torque that they make up, if any. ``of``: the candidate whose departures in each
-    recording they are, if any.
+    ``series``: the torque that they make up, if any. ``is_form``: whether it is a departure from
+    the forms of laws, which no joint follows exactly, so that it is always in at its usual size.
+    ``own``: root mean square of a law of the bench that it resembles, in the channel's unit.
+    ``of``: the candidate whose departures in each recording they are, if any.
     """
 
     kind: str
     columns: FloatArray
     series: Series | None = None
+    is_form: bool = False
+    own: float = 0.0
     of: str = ""
 
 
@@ -318,9 +317,6 @@ class AffineModel:
         Prior standard deviations of nuisances, around their value in ``base``; others are flat.
     without
         Prediction of a fit without any effect, (N,), if base and nuisances alone are none.
-    forms
-        Torques by which laws depart from their forms, always in: columns per unit of the channel,
-        (N, m), by kind.
     bands
         Rows with unknown errors.
     noises
@@ -334,7 +330,6 @@ class AffineModel:
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
     without: FloatArray | None = None
-    forms: Mapping[str, FloatArray] = field(default_factory=dict)
     bands: tuple[MisfitBand, ...] = ()
     noises: Sequence[ResidualNoise] | None = None
     most_terms: int = MOST_TERMS
@@ -533,7 +528,8 @@ class Inference:
         self.groups = [slice(*pair) for pair in pairwise(ends)]
         noises = noises or model.noises
         if noises is None:
-            noises = self._noise_beside_everything([term.columns for term in terms])
+            selected = [term.columns for term in terms if not term.always]
+            noises = self._noise_beside_everything(selected)
         self.noises = tuple(noises)
         shown = [piece.shown for piece in pieces]
         pairs = list(zip(self.noises, shown, strict=True))
@@ -569,9 +565,12 @@ class Inference:
                     unit=unit,
                     source=(candidate, look),
                 )
-        for kind, columns in self.model.forms.items():
-            unit = np.full(columns.shape[1], FORM_SHARE * self._level)
-            yield Term(kind, columns[self.model.rows.used] * unit, always=True, unit=unit)
+        for form in (d for d in self.model.discrepancies if d.is_form):
+            columns, rows = form.columns, self.model.rows
+            size = math.sqrt(float((columns[rows.shown] ** 2).mean(axis=0).sum())) or 1.0
+            size = FORM_SHARE * math.hypot(self._level, form.own) / size
+            columns, unit = columns[rows.used], np.full(columns.shape[1], size)
+            yield Term(form.kind, columns * unit, always=True, unit=unit, source=form)
 
     @cached_property
     def _rounding(self) -> float:
@@ -732,12 +731,18 @@ class Inference:
     @property
     def average(self) -> Coefficients:
         """Posterior mean of everything."""
+        sizes = {
+            k: weight @ mean * self.terms[k].unit
+            for k, (weight, mean, _) in self.posterior.sizes.items()
+        }
+        ends = np.cumsum([term.columns.shape[1] for term in self.terms]).tolist()
+        for k, (term, end) in enumerate(zip(self.terms, ends, strict=True)):
+            if term.always:
+                draws = self.draws.sizes[:, end - term.columns.shape[1] : end]
+                sizes[k] = draws.mean(axis=0) * term.unit
         return Coefficients(
             self.draws.fitted.mean(axis=0),
-            {
-                k: weight @ mean * self.terms[k].unit
-                for k, (weight, mean, _) in self.posterior.sizes.items()
-            },
+            sizes,
             {
                 g: self.draws.discrepancy[:, group].mean(axis=0)
                 for g, group in enumerate(self.groups)
@@ -745,7 +750,7 @@ class Inference:
         )
 
     def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
-        """Least-squares fit of some candidates and discrepancy groups, and nothing else.
+        """Least-squares fit of some candidates and groups beside what is always in, no others.
 
         Names and discrepancy are separable only if the names take all that they can: the
         discrepancy is the remainder, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
@@ -753,13 +758,15 @@ class Inference:
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
+        chosen += [k for k, term in enumerate(view.terms) if term.always]
         terms = [view.terms[k] for k in chosen]
         learned = [view.discrepancy[:, self.groups[g]] for g in groups]
         blocks = [view.jacobian, *(term.columns for term in terms), *learned]
         widths = [block.shape[1] for block in blocks]
         lowest = [-free, *(0.0 if t.positive else -free for t in terms), *(-free for _ in groups)]
         nuisance_sds = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
-        block_sds = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
+        block_sds = [1.0 if term.always else free for term in terms]
+        block_sds += [self.posterior.discrepancy_sd(g) for g in groups]
         sds = np.concatenate([nuisance_sds, np.repeat(block_sds, widths[1:])])
         prior = np.diag(1.0 / np.maximum(sds, 1e-300))[np.isfinite(sds)]
         values = bounded_least_squares(
@@ -786,6 +793,9 @@ class Inference:
         total = model.base + model.jacobian @ coefficients.nuisances
         waves: list[tuple[float, FloatArray]] = []
         for k, size in coefficients.sizes.items():
+            if self.terms[k].always:
+                total = total + self.terms[k].source.columns @ size
+                continue
             candidate, look = self.terms[k].source
             total = total + model.columns(candidate, look) @ size
             if candidate.own_phase and size.any():
@@ -809,15 +819,12 @@ class Inference:
 
     def discrepancy(self) -> FloatArray:
         """Posterior mean of the discrepancy and of departures from the laws' forms, (N,)."""
-        total = np.zeros(self.model.base.size)
-        for g, size in self.average.discrepancy.items():
+        average, total = self.average, np.zeros(self.model.base.size)
+        for g, size in average.discrepancy.items():
             total += self.model.discrepancies[g].columns @ size
-        ends = np.cumsum([term.columns.shape[1] for term in self.terms])
-        for term, end in zip(self.terms, ends, strict=True):
+        for k, term in enumerate(self.terms):
             if term.always:
-                columns = self.model.forms[term.hypothesis]
-                sizes = self.draws.sizes[:, end - columns.shape[1] : end]
-                total += columns @ (sizes.mean(axis=0) * term.unit)
+                total += term.source.columns @ average.sizes[k]
         return total
 
     def residual_noise(self) -> Sequence[ResidualNoise]:
@@ -872,8 +879,9 @@ def inferred(
     for done in range(1, rounds):
         if progress is not None:
             progress("Comparing sets of effects", done, rounds)
+        noises = inference.residual_noise()
         view = view.refined(inference)
-        inference = Inference(view.model)
+        inference = Inference(view.model, noises)
     return view, inference
 
 

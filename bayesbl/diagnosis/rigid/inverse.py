@@ -94,6 +94,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 
+SPRING = "torque_in_proportion_to_load_angle"
 SKEW, SMOOTHING = "channel_time_skew", "recorder_smoothing"
 TORQUE_CONSTANT = "torque_constant_nm_per_a"
 
@@ -234,7 +235,7 @@ class InverseView(View):
     unknown: tuple[str, ...] = ()
     load_angle_known: bool = False
     phases_shared: bool = False
-    recorder: Recorder = Recorder()
+    recorder: Recorder = field(default_factory=Recorder)
     width: float = 0.0
     slopes: FloatArray | None = None
     shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -424,7 +425,7 @@ class InverseView(View):
     @cached_property
     def model(self) -> AffineModel:
         """Model at the skew and the width."""
-        base, nuisances, torques = self.base, dict(self._nuisances), tuple(self._torques())
+        base, nuisances = self.base, dict(self._nuisances)
         sds = believed_sds(self.bench, self.unknown)
         if self.slopes is not None:
             delay, smoothing = self.recorder.delay_s, self.recorder.smoothing_s2
@@ -436,9 +437,8 @@ class InverseView(View):
             base if self.shown.all() else np.where(self.shown, base, self._base_above),
             nuisances,
             tuple(self._candidates()),
-            (*torques, self._drift(), *self._between_recordings()),
+            (*self._torques(), self._spring, self._drift(), *self._between_recordings()),
             sds,
-            forms={d.kind: d.columns for d in torques},
         )
 
     def _candidates(self) -> Iterator[Candidate]:
@@ -516,23 +516,41 @@ class InverseView(View):
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 return waves * direction(motion)[:, None] if series.reverses else waves
 
-            key = (series.kind, period, orders, self.width)
-            yield Discrepancy(series.kind, self._torque(key, columns), series)
+            width = self.width if reverses else 0.0
+            torque = self._torque((series.kind, period, orders), columns, width=width)
+            yield Discrepancy(series.kind, torque, series, variable == "motor_speed")
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
         """Variable, period, and whether the torque reverses with the speed."""
         turn = 2.0 * math.pi
-        # Four times the load's travel, so that a part is nearly straight, as a spring is; beyond two
-        # turns, whatever repeats does so over one.
+        # Twice the load's travel; beyond two turns, whatever repeats does so over one.
         angles = np.concatenate([part.motion.angle for part in self.used])
         travel = float(np.ptp(angles)) / self.bench.value("gear_ratio")
-        load_period = max(min(4.0 * travel, 2.0 * turn), 2.0 * travel)
-        load_period = turn if travel >= 2.0 * turn else load_period
+        load_period = turn if travel >= 2.0 * turn else 2.0 * travel
         fastest = max(float(np.abs(part.motion.speed).max()) for part in self.used)
         yield from (("load_angle", load_period, reverses) for reverses in (False, True))
         if self._longest_rad >= turn and (self.phases_shared or len(self.rows.recordings) == 1):
             yield "motor_angle", turn, False
         yield "motor_speed", 4.0 * fastest, False
+
+    @cached_property
+    def _spring(self) -> Discrepancy:
+        """A torque in proportion to the load's angle, as of a cable, a hose or a spring.
+
+        Apart from the other torques over this angle, because most of it looks like gravity. Where
+        it vanishes is unknown; without gravity, that is the offset of the catalogue.
+        """
+        ratio = self.bench.value("gear_ratio")
+        angles = np.concatenate([part.motion.angle for part in self.used])
+        middle = 0.5 * float(angles.min() + angles.max())
+        torque = self._torque("spring", lambda motion: (motion.angle - middle) / ratio**2)
+        columns = [torque]
+        if self.bench.value(GRAVITY) > 0.0:
+            half = 0.5 * float(angles.max() - angles.min()) / ratio**2
+            columns.append(self._torque("constant", lambda m: half * np.ones_like(m.angle)))
+        weight = self.bench.value(GRAVITY) * self._parameter(GRAVITY)[self.rows.shown]
+        own = math.sqrt(float(np.mean(weight**2)))
+        return Discrepancy(SPRING, np.column_stack(columns), is_form=True, own=own)
 
     def _drift(self) -> Discrepancy:
         """A torque that drifts in each fitted recording."""
@@ -634,7 +652,10 @@ class InverseView(View):
             if law.scanned is None and not law.linear:
                 columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
         waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
-        forms = (d.columns for d in self._torques(FORM_ORDERS))
+        torques = self._torques(FORM_ORDERS)
+        forms = (
+            d.columns for d in (*torques, self._spring) if not (d.series and d.series.reverses)
+        )
         return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves, *forms])
 
     @cached_property
