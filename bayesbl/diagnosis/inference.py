@@ -941,7 +941,7 @@ def diagnose(
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
     effects = [
-        _effect(at, label, alike, inference.probability((label, *alike)), scale_sd)
+        _effect(at, label, fitted, alike, inference.probability((label, *alike)), scale_sd)
         for label, alike in named
         if kinds[label] == "effect" and label not in silent
     ]
@@ -1045,12 +1045,19 @@ def _learned_group(inference: Inference) -> int | None:
 def _effect(
     inference: Inference,
     label: str,
+    fitted: Coefficients,
     alike: tuple[str, ...],
     probability: float,
     scale_sd: float,
 ) -> NamedEffect:
     candidate = inference.labels[label]
     parameters = inference.values(label)
+    if candidate.is_wave:
+        # Lines beside that of a ripple are its sidebands, and share its size.
+        size = fitted.sizes[inference.posterior.likeliest(label)]
+        waves = _of_waves(candidate, size[None], np.zeros((1, size.size, size.size)))
+        for name, (value, _) in waves.items():
+            parameters[name] = Estimate(float(value[0]), parameters[name].sd)
     size = parameters[candidate.parameters[0]]
     z = abs(size.value) / max(size.sd, _TINY)
     units = {p.name: p.unit for p in effect_named(candidate.name).parameters}

@@ -599,12 +599,10 @@ class InverseView(View):
         fitted |= {n: values[n][n].value for n in (*INERTIAS, GRAVITY) if n in values}
         fitted = {name: self.bench.value(name) + change for name, change in fitted.items()}
         bench = self.bench.with_parameters(**{k: v for k, v in fitted.items() if v > 0.0})
-        recorder = self.recorder
-        if self.slopes is not None:
-            delay, smoothing = recorder.delay_s, inference.change(SMOOTHING).value
-            if SKEW in values:
-                delay = next(iter(values[SKEW].values())).value
-            recorder = Recorder(delay, max(smoothing, 0.0))
+        recorder = Recorder()
+        if SKEW in values:
+            (delay,) = values[SKEW].values()
+            recorder = Recorder(delay.value, max(inference.change(SMOOTHING).value, 0.0))
         view = replace(
             self,
             shapes=shapes,
@@ -680,7 +678,11 @@ class InverseView(View):
         return replace(self, width=_minimum(cost, [self.speed_rad_per_s * w for w in WIDTH_GRID]))
 
     def _with_recorder(self) -> InverseView:
-        """The view with the recorder that fits best, by Gauss-Newton with the linear fit."""
+        """The view with the recorder that fits best, by Gauss-Newton with the linear fit.
+
+        If it leaves more than half of what the fit without one leaves, it is small, and the search
+        may start without.
+        """
         view = self._with_slopes()
         for _ in range(RECORDER_ROUNDS):
             if view.slopes is None:
@@ -702,7 +704,7 @@ class InverseView(View):
             view = other._with_slopes()
             if other._misfit > (1.0 - RECORDER_STEP) * old:
                 break
-        return replace(view, slopes=None)
+        return replace(view, slopes=None) if view._misfit < 0.5 * self._misfit else self
 
     @cached_property
     def _misfit(self) -> float:
