@@ -22,7 +22,7 @@ from bayesbl.diagnosis.rigid.inverse import (
 )
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, FloatArray, Recording
 
-INERTIA, COULOMB, VISCOUS, OFFSET = 0.02, 0.5, 0.02, 0.1
+INERTIA, COULOMB, VISCOUS, OFFSET = 0.02, 0.5, 0.1, 0.1
 HZ = 500.0
 BENCH = Bench(
     {
@@ -87,7 +87,7 @@ def sizes(found: Diagnosis) -> dict[str, float]:
 def test_a_torque_half_a_sample_late_is_no_skew_and_leaves_friction_its_size() -> None:
     found = diagnosed(lambda _, v, a: INERTIA * a + friction(v) + OFFSET)
     named = sizes(found)
-    assert named["motor_coulomb_friction"] == pytest.approx(COULOMB, rel=0.01)
+    assert named["motor_coulomb_friction"] == pytest.approx(COULOMB, rel=0.02)
     assert named["motor_viscous_friction"] == pytest.approx(VISCOUS, rel=0.05)
     assert named.keys() == {
         "motor_coulomb_friction",

@@ -538,18 +538,18 @@ class InverseView(View):
         """A torque in proportion to the load's angle, as of a cable, a hose or a spring.
 
         Apart from the other torques over this angle, because most of it looks like gravity. Where
-        it vanishes is unknown; without gravity, that is the offset of the catalogue.
+        gravity is fitted, it may be a share of that, and where it vanishes is unknown.
         """
-        ratio = self.bench.value("gear_ratio")
+        ratio, own = self.bench.value("gear_ratio"), 0.0
         angles = np.concatenate([part.motion.angle for part in self.used])
-        middle = 0.5 * float(angles.min() + angles.max())
-        torque = self._torque("spring", lambda motion: (motion.angle - middle) / ratio**2)
-        columns = [torque]
-        if self.bench.value(GRAVITY) > 0.0:
-            half = 0.5 * float(angles.max() - angles.min()) / ratio**2
-            columns.append(self._torque("constant", lambda m: half * np.ones_like(m.angle)))
-        weight = self.bench.value(GRAVITY) * self._parameter(GRAVITY)[self.rows.shown]
-        own = math.sqrt(float(np.mean(weight**2)))
+        low, high = float(angles.min()), float(angles.max())
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        columns = [self._torque("spring", lambda motion: (motion.angle - middle) / ratio**2)]
+        if GRAVITY in self.unknown:
+            shown = self.rows.shown
+            weight = self.bench.value(GRAVITY) * self._parameter(GRAVITY)[shown]
+            own = math.sqrt(float(np.mean(weight**2)))
+            columns.append(self._torque("rest", lambda m: np.full_like(m.angle, half / ratio**2)))
         return Discrepancy(SPRING, np.column_stack(columns), is_form=True, own=own)
 
     def _drift(self) -> Discrepancy:
