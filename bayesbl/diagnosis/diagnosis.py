@@ -6,6 +6,7 @@ and figures depend on its contents, never on the method.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -42,6 +43,13 @@ class Estimate:
     sd: float
     draws: FloatArray | None = None
     logarithmic: bool = False
+
+    def rms_about(self, value: float) -> float:
+        """Root mean square of its difference from another value.
+
+        The standard deviation of a value that is stated although it is not the mean.
+        """
+        return math.hypot(self.sd, self.value - value)
 
 
 @dataclass(frozen=True, slots=True)

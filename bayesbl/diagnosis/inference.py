@@ -256,9 +256,12 @@ class Series:
 
     @cached_property
     def means(self) -> FloatArray:
-        """Means of the waves over the recorded range, or their values at standstill, (2 orders,).
-        They are subtracted, because a constant torque and dry friction are in the catalogue."""
-        low, high = (0.0, 0.0) if self.variable == "motor_speed" else self.reach
+        """Means of the waves over the recorded range, or their values at a standstill within it,
+        (2 orders,). They are subtracted, because a constant torque and dry friction are in the
+        catalogue."""
+        low, high = self.reach
+        if self.variable == "motor_speed" and low <= 0.0 <= high:
+            low = high = 0.0
         x = np.linspace(low, min(high, low + self.period), 1000)
         return np.asarray(self._waves(x).mean(axis=0))
 
@@ -750,7 +753,7 @@ class Inference:
         )
 
     def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
-        """Least-squares fit of some candidates and groups beside what is always in, no others.
+        """Least-squares fit of some candidates and discrepancy groups, and nothing else.
 
         Names and discrepancy are separable only if the names take all that they can: the
         discrepancy is the remainder, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
@@ -758,15 +761,13 @@ class Inference:
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
-        chosen += [k for k, term in enumerate(view.terms) if term.always]
         terms = [view.terms[k] for k in chosen]
         learned = [view.discrepancy[:, self.groups[g]] for g in groups]
         blocks = [view.jacobian, *(term.columns for term in terms), *learned]
         widths = [block.shape[1] for block in blocks]
         lowest = [-free, *(0.0 if t.positive else -free for t in terms), *(-free for _ in groups)]
         nuisance_sds = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
-        block_sds = [1.0 if term.always else free for term in terms]
-        block_sds += [self.posterior.discrepancy_sd(g) for g in groups]
+        block_sds = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
         sds = np.concatenate([nuisance_sds, np.repeat(block_sds, widths[1:])])
         prior = np.diag(1.0 / np.maximum(sds, 1e-300))[np.isfinite(sds)]
         values = bounded_least_squares(
@@ -777,6 +778,15 @@ class Inference:
         nuisances, *parts = np.split(values, np.cumsum(widths)[:-1])
         sizes = {k: part * self.terms[k].unit for k, part in zip(chosen, parts, strict=False)}
         return Coefficients(nuisances, sizes, dict(zip(groups, parts[len(chosen) :], strict=True)))
+
+    def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
+        """Linear parameters of a candidate in a projection."""
+        candidate = self.labels[label]
+        size = fitted.sizes[self.posterior.likeliest(label)]
+        if not candidate.is_wave:
+            return dict(zip(candidate.parameters, size.tolist(), strict=True))
+        waves = _of_waves(candidate, size[None], np.zeros((1, size.size, size.size)))
+        return {name: float(value[0]) for name, (value, _) in waves.items()}
 
     def is_none(self, fitted: Coefficients, label: str) -> bool:
         """Whether a projection leaves nothing of a candidate whose sign is known."""
@@ -915,15 +925,17 @@ def diagnose(
     if view.model is not inference.model:
         at = Inference(view.model, inference.noises)
     named, fitted = _fitted(at, named, [] if group is None else [group])
-    learned = None if group is None else learned_answer(at, group)
+    learned = None if group is None else learned_answer(at, fitted, group)
     kinds = {label: inference.labels[label].kind for label, _ in named}
     estimates = {
-        name: replace(change, value=bench.value(name) + change.value)
-        for name, change in ((n, at.change(n)) for n in at.model.names if n in PARAMETER_INFO)
+        name: Estimate(bench.value(name) + value, at.change(name).rms_about(value))
+        for name, value in zip(at.model.names, fitted.nuisances, strict=True)
+        if name in PARAMETER_INFO
     }
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
-        size = at.values(label)[label]
-        estimates[label] = replace(size, value=bench.value(label) + size.value)
+        (value,) = at.of_projection(fitted, label).values()
+        sd = at.values(label)[label].rms_about(value)
+        estimates[label] = Estimate(bench.value(label) + value, sd)
     after, before = at.predicted(fitted), at.model.without
     if before is None:
         before = at.predicted(Coefficients(at.model.by_nuisances))
@@ -1052,12 +1064,11 @@ def _effect(
 ) -> NamedEffect:
     candidate = inference.labels[label]
     parameters = inference.values(label)
-    if candidate.is_wave:
+    for name, value in inference.of_projection(fitted, label).items():
+        known = parameters[name]
         # Lines beside that of a ripple are its sidebands, and share its size.
-        size = fitted.sizes[inference.posterior.likeliest(label)]
-        waves = _of_waves(candidate, size[None], np.zeros((1, size.size, size.size)))
-        for name, (value, _) in waves.items():
-            parameters[name] = Estimate(float(value[0]), parameters[name].sd)
+        sd = known.sd if candidate.is_wave else known.rms_about(value)
+        parameters[name] = Estimate(value, sd)
     size = parameters[candidate.parameters[0]]
     z = abs(size.value) / max(size.sd, _TINY)
     units = {p.name: p.unit for p in effect_named(candidate.name).parameters}
@@ -1106,13 +1117,13 @@ def compared_pieces(rows: Rows, before: FloatArray, after: FloatArray) -> tuple[
     )
 
 
-def learned_answer(inference: Inference, group: int) -> LearnedAnswer | None:
+def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> LearnedAnswer | None:
     """A discrepancy group as a torque over its variable; ``None`` if it is no torque."""
     series = inference.model.discrepancies[group].series
     if series is None:
         return None
     draws = inference.draws.discrepancy[:, inference.groups[group]]
-    term = series.torque(draws.mean(axis=0), draws.std(axis=0))
+    term = series.torque(fitted.discrepancy[group], draws.std(axis=0))
     low, high = series.reach
     if high - low > term.period:
         low, high = -0.5 * term.period, 0.5 * term.period

@@ -123,7 +123,7 @@ class LowPass:
             values,
             self.period_s,
             FADE_PERIODS / self.cutoff_hz,
-            lambda frequency: (2.0j * math.pi * frequency) ** times * self._gain(frequency),
+            lambda f: np.asarray((2.0j * math.pi * f) ** times * self._gain(f), complex),
         )
         return np.asarray(made + (line, slope, 0.0)[times])
 
