@@ -307,6 +307,11 @@ class Discrepancy:
     own: float = 0.0
     of: str = ""
 
+    @property
+    def varies(self) -> bool:
+        """Whether its variable does: at one speed, nothing shows a form."""
+        return self.series is None or float(np.ptp(self.series.reach)) > STEADY * self.series.period
+
 
 @dataclass(frozen=True, eq=False)
 class AffineModel:
@@ -407,6 +412,9 @@ def with_shared_scale(
         for name, estimate in estimates.items()
     }
 
+
+STEADY = 0.01
+"""Range of a variable, in periods of a series, below which it is constant."""
 
 DRAWS = 1000
 """Number of posterior draws: a standard deviation is exact to 2 %."""
@@ -568,7 +576,7 @@ class Inference:
                     unit=unit,
                     source=(candidate, look),
                 )
-        for form in (d for d in self.model.discrepancies if d.is_form):
+        for form in (d for d in self.model.discrepancies if d.is_form and d.varies):
             columns, rows = form.columns, self.model.rows
             size = math.sqrt(float((columns[rows.shown] ** 2).mean(axis=0).sum())) or 1.0
             size = FORM_SHARE * math.hypot(self._level, form.own) / size
@@ -663,7 +671,7 @@ class Inference:
     def lookalikes(self, label: str) -> list[str]:
         """Candidates whose signals differ from those of one only by nuisances."""
         view = self.posterior.linearised
-        terms = [term for term in view.terms if term.columns.shape[1] == 1]
+        terms = [t for t in view.terms if t.columns.shape[1] == 1 and not t.always]
         scale = np.maximum(np.abs(view.jacobian).max(axis=0), _TINY)
         basis, _ = np.linalg.qr(view.jacobian / scale)
         columns = np.hstack([np.zeros((len(basis), 0)), *(term.columns for term in terms)])

@@ -183,9 +183,11 @@ def test_gravity_is_seen_where_it_acts_and_a_wrong_inertia_is_not_gravity(
         bench, parameters={n: replace(p, tolerance=0.0) for n, p in bench.parameters.items()}
     )
     found, gravity = wrong(replace(made, bench=bench))
-    assert {error.name for error in found.parameter_errors} == {"motor_inertia_kg_m2"}
-    (error,) = found.parameter_errors
-    assert error.fitted.value == pytest.approx(0.02, abs=4.0 * error.fitted.sd + 1e-4)
+    # In a short swing of one frequency, a cable's spring is an inertia.
+    wrong_inertia = {"motor_inertia_kg_m2"} if reach_rad > 1.0 else set()
+    assert {error.name for error in found.parameter_errors} == wrong_inertia
+    for error in found.parameter_errors:
+        assert error.fitted.value == pytest.approx(0.02, abs=4.0 * error.fitted.sd + 1e-4)
     assert gravity == (gravity_nm > 0.0)
     right = believed(replace(drawn_axis(np.random.default_rng(1)), inertia_kg_m2=0.02 / 0.8))
     found, gravity = wrong(replace(made, bench=right))
