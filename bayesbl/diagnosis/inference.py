@@ -769,13 +769,16 @@ class Inference:
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
+        # A cable is a law that no catalogue has; a departure of form is none.
+        chosen += [k for k, t in enumerate(view.terms) if t.always and t.source.series is None]
         terms = [view.terms[k] for k in chosen]
         learned = [view.discrepancy[:, self.groups[g]] for g in groups]
         blocks = [view.jacobian, *(term.columns for term in terms), *learned]
         widths = [block.shape[1] for block in blocks]
         lowest = [-free, *(0.0 if t.positive else -free for t in terms), *(-free for _ in groups)]
         nuisance_sds = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
-        block_sds = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
+        block_sds = [1.0 if term.always else free for term in terms]
+        block_sds += [self.posterior.discrepancy_sd(g) for g in groups]
         sds = np.concatenate([nuisance_sds, np.repeat(block_sds, widths[1:])])
         prior = np.diag(1.0 / np.maximum(sds, 1e-300))[np.isfinite(sds)]
         values = bounded_least_squares(
