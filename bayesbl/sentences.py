@@ -52,7 +52,7 @@ _NO_VALUES = ("code", "recordings", "also", "withholds", "route", "delta_error_r
 
 class _Phrases(Formatter):
     """``{share:.0f %}`` is a share in per cent, ``{gap_rad:.2g mrad}`` an angle given in rad,
-    ``{x:abs .2g}`` a size, ``{x:±.2g}`` one of either sign.
+    ``{x:abs .2g}`` a size, ``{x:±.2g}`` one of either sign, ``{x:wider}`` a factor of a width.
 
     ``{named:?yes|no}`` chooses by whether there is a value, ``{x:>0.5 yes|no}`` by its size; either
     text may have fields. Items of a list are separated by commas, of ``{names:or}`` by or. What is
@@ -77,6 +77,8 @@ class _Phrases(Formatter):
             return (" or " if either else ", ").join(items)
         if value is None:
             return ""
+        if form == "wider":
+            return times_as_wide(value)
         if form.startswith("±"):
             return f"±{self.format_field(value, form[1:])}"
         if form.startswith("abs "):
@@ -85,6 +87,11 @@ class _Phrases(Formatter):
             if form.endswith(unit):
                 return f"{one * value:{form.removesuffix(unit)}}{unit}"
         return format(value, form)
+
+
+def times_as_wide(factor: float) -> str:
+    """What became of an interval, in words."""
+    return "hardly wider" if factor < 1.05 else f"{factor:.2g} times as wide"
 
 
 def with_sentences(summary: Any) -> Any:
@@ -247,8 +254,8 @@ _DISAGREEMENT = (
     "{channel} of {recording}, {highest_order:>0 up to {is_motion:?order|load order} "
     "{highest_order}|in the mean}{is_motion:? of the cycle|}, {is_motion:?the residual|the part "
     "that repeats every rotation} has {ratio:.3g} times the power expected from noise "
-    "(disagreement in {channels}). {times:?The bench lacks something that may move δ, so the "
-    "interval is {times:.2g} times as wide|The bench file lacks an effect or has wrong values}; "
+    "(disagreement in {channels}). {times:?The bench lacks something that may move δ. The interval "
+    "allows for it and is {times:wider}|The bench file lacks an effect or has wrong values}; "
     "{could_be:?{could_be:or} would explain most of it; |}{is_motion:?`bayesbl identify` with "
     "`--effects catalogue` looks|`bayesbl diagnose` looks} for what is missing."
 )
@@ -324,8 +331,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "allows_for_misfit": _DISAGREEMENT,
     "negative_law": (
         "Simulation and recording agree only if a damping, or another law that cannot be negative, "
-        "is negative. The bench lacks something that may move δ, so the interval is {times:.2g} "
-        "times as wide; `bayesbl diagnose` looks for what is missing."
+        "is negative. The bench lacks something that may move δ. The interval allows for it and is "
+        "{times:wider}; `bayesbl diagnose` looks for what is missing."
     ),
     "unexplained": (
         "Neither the bench nor any change of it explains the recordings, so δ cannot be trusted. "
@@ -395,8 +402,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "current, the interval of δ would be several times narrower."
     ),
     "widened": (
-        "Sensor noise fed back through the speed loop makes impacts vary, so the interval is "
-        "{times:.2g} times as wide."
+        "Sensor noise fed back through the speed loop makes impacts vary. The interval allows for "
+        "it and is {times:wider}."
     ),
     "gap_not_told": (
         "There may be no gap: the recording does not exclude a δ below {smallest_rad:.2g mrad}, "
@@ -443,8 +450,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "walker_stuck": "A walker never moved: it is stuck, and its ensemble cannot be trusted.",
     "chain_short": (
         "The chain is short: {steps} steps for an autocorrelation time of "
-        "{autocorrelation_steps:.0f} (more than {needed:.0f} times that is needed); raise "
-        "[posterior] max_steps."
+        "{autocorrelation_steps:.0f} (more than {needed:.0f} times that is needed). Set "
+        "{needed_steps:?max_steps = {needed_steps} or more|more max_steps} under [posterior]."
     ),
     "few_effective": "Only {draws:.0f} effective draws of {symbol}.",
     "bounds_moved": "The interval's bounds still moved at the last check.",
@@ -657,7 +664,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "misfit_repeats": lambda times: (
         "The misfit repeats in every cycle, so it is not noise, and the intervals are "
-        f"{math.sqrt(times):.2g} times as wide."
+        f"{times_as_wide(math.sqrt(times))}."
     ),
 }
 """Sentence by code, with fields for values, or the function that makes it."""

@@ -16,7 +16,8 @@ contact depends on them alone and the step control must see their error.
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
 changes (at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps)
 and at the ticks of a sampled controller. The region is fixed within a step, so the right-hand side
-is smooth there.
+is smooth there. Between two ticks, far from an edge, a bench with friction alone is linear, and is
+solved exactly.
 
 A held output is a load of infinite inertia; the drive's reference is then its torque.
 """
@@ -142,8 +143,12 @@ class Slot(IntEnum):
 
 SLOTS = len(Slot)
 FIRST_EFFECT = int(Slot.motor_coulomb_friction__torque_nm)
-MOTOR_VISCOUS = int(Slot.motor_viscous_friction__coefficient_nm_s_per_rad)
-LOAD_VISCOUS = int(Slot.load_viscous_friction__coefficient_nm_s_per_rad)
+FRICTION = (
+    int(Slot.motor_viscous_friction__coefficient_nm_s_per_rad),
+    int(Slot.load_viscous_friction__coefficient_nm_s_per_rad),
+    int(Slot.motor_coulomb_friction__torque_nm),
+    int(Slot.load_coulomb_friction__torque_nm),
+)
 FIRST_COSINE = int(Slot["learned_torque__cosine_1_nm"])
 FIRST_SINE = int(Slot["learned_torque__sine_1_nm"])
 FIRST_ENCODER_COSINE = int(Slot["encoder_error__cosine_1_rad"])
@@ -176,6 +181,8 @@ LONGEST_PHASE = 1.0
 # Longest time between two ticks, in radians of the fastest oscillation, for one step of the
 # classical method: its phase error, (ωh)⁵/120 per step, is 5e-6 rad in a period.
 SHORT_PHASE = 0.1
+# Terms of the series over such a time.
+TERMS = 12
 # Distance from a smoothed edge or sign, in its widths, beyond which its curvature is negligible.
 CLEAR = 20.0
 # Distance from a smoothed edge, in its widths, within which a step is at most two widths. Beyond,
@@ -215,6 +222,8 @@ class Constants(NamedTuple):
     load_inertia: float
     motor_viscous: float
     load_viscous: float
+    motor_coulomb: float
+    load_coulomb: float
     stiffness: float
     damping: float
     gravity: float
@@ -288,7 +297,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     """
     effects = False
     for i in range(FIRST_EFFECT, FIRST_SKEW):
-        if p[i] != 0.0 and i != MOTOR_VISCOUS and i != LOAD_VISCOUS:
+        if p[i] != 0.0 and i not in FRICTION:
             effects = True
     ratio = p[Slot.gear_ratio]
     rigid = p[Slot.rigid] != 0.0
@@ -317,8 +326,10 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.motor_inertia_kg_m2],
         1.0 / p[Slot.load_inertia_kg_m2],
         p[Slot.load_inertia_kg_m2],
-        p[MOTOR_VISCOUS],
-        p[LOAD_VISCOUS],
+        p[Slot.motor_viscous_friction__coefficient_nm_s_per_rad],
+        p[Slot.load_viscous_friction__coefficient_nm_s_per_rad],
+        p[Slot.motor_coulomb_friction__torque_nm],
+        p[Slot.load_coulomb_friction__torque_nm],
         p[Slot.shaft_stiffness_nm_per_rad],
         p[Slot.shaft_damping_nm_s_per_rad],
         p[Slot.gravity_torque_nm],
@@ -665,12 +676,12 @@ def direction_of(ratio):  # type: ignore[no-untyped-def]
 @_jit
 def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
     """Torque against the motor from motor-side effects, N m."""
-    if not c.effects:
-        return c.motor_viscous * speed
     direction = direction_of(speed / c.friction_width)
+    if not c.effects:
+        return c.motor_viscous * speed + c.motor_coulomb * direction
     drift = p[Slot.friction_drift__torque_nm]
     drift += p[Slot.friction_drift__rate_nm_per_s] * max(0.0, t - c.drift_start)
-    dry = p[Slot.motor_coulomb_friction__torque_nm] + drift
+    dry = c.motor_coulomb + drift
     dry += p[Slot.gear_mesh_friction__coefficient] * abs(transmitted) * c.per_ratio
     dry += p[Slot.friction_asymmetry__coefficient_nm_s_per_rad] * speed
     if p[Slot.motor_stribeck_friction__torque_nm] != 0.0:
@@ -704,12 +715,10 @@ def gravity_at(angle, p, c):  # type: ignore[no-untyped-def]
 def load_losses(speed, p, c):  # type: ignore[no-untyped-def]
     """Torque against the load from load-side effects, N m."""
     torque = c.load_viscous * speed
+    if c.load_coulomb != 0.0:
+        torque += c.load_coulomb * direction_of(speed / c.load_friction_width)
     if c.effects:
         torque += p[Slot.load_torque_offset__torque_nm]
-        if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
-            torque += p[Slot.load_coulomb_friction__torque_nm] * direction_of(
-                speed / c.load_friction_width
-            )
     return torque
 
 
@@ -956,7 +965,7 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     if not c.plain:
         full_right_hand_side(t, y, region, p, c, dy)
         return
-    # The bench with no effects but viscous friction, short enough to be inlined into the stages.
+    # The bench with no effects but friction, short enough to be inlined into the stages.
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
@@ -972,8 +981,13 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
             torque, share = limited(torque, error, c)
     shaft = shaft_torque(twist, twist_speed, region, c.sharpness, c)
     load = c.gravity * math.sin(y[MOTOR_ANGLE] * c.per_ratio - twist + c.gravity_angle)
-    load += c.load_viscous * (speed * c.per_ratio - twist_speed)
+    load_speed = speed * c.per_ratio - twist_speed
+    load += c.load_viscous * load_speed
+    if c.load_coulomb != 0.0:
+        load += c.load_coulomb * direction_of(load_speed / c.load_friction_width)
     losses = c.motor_viscous * speed
+    if c.motor_coulomb != 0.0:
+        losses += c.motor_coulomb * direction_of(speed / c.friction_width)
     acceleration = (torque - shaft * c.per_ratio - losses) * c.per_motor_inertia
     dy[MOTOR_ANGLE] = speed
     dy[MOTOR_SPEED] = acceleration
@@ -1060,6 +1074,12 @@ def short_step(t, y, h, region, p, c, k, y_new, dense):  # type: ignore[no-untyp
     right_hand_side(t + h, y_new, region, p, c, k4)
     for i in range(n):
         y_new[i] = y[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+    between_ends(y, y_new, h, dense)
+
+
+@_inlined
+def between_ends(y, y_new, h, dense):  # type: ignore[no-untyped-def]
+    """Dense row of the motor's angle: the cubic through angle and speed at both ends."""
     rise = y_new[MOTOR_ANGLE] - y[MOTOR_ANGLE]
     bend = h * y[MOTOR_SPEED] - rise
     dense[0, MOTOR_ANGLE] = y[MOTOR_ANGLE]
@@ -1069,6 +1089,91 @@ def short_step(t, y, h, region, p, c, k, y_new, dense):  # type: ignore[no-untyp
     dense[4, MOTOR_ANGLE] = 0.0
 
 
+@_jit
+def of_whole_ticks(acting, p, c):  # type: ignore[no-untyped-def]
+    """Exact solution over a period of a sampled controller, in the gap and on a flank, (2, 4, 8).
+
+    For the bench with no effects but friction. Rows: growth of the angle, then speed, twist and
+    twist speed after the period. Columns: these three before it, the drive's torque until the share
+    ``acting`` of the period and that from then on, the shaft's torque beyond a straight flank's,
+    the load in the middle and its rate. By the series of the matrix exponential.
+    """
+    period = p[Slot.sampled_control__period_s]
+    rows = np.zeros((2, 4, 8))
+    a = np.zeros((4, 4))
+    a[0, 1] = 1.0
+    a[2, 3] = 1.0
+    a[1, 1] = -c.motor_viscous * c.per_motor_inertia
+    w = np.zeros(4)
+    following = np.zeros(4)
+    for touching in range(2):
+        stiffness, damping = touching * c.stiffness, touching * c.damping
+        a[1, 2] = -stiffness * c.per_ratio * c.per_motor_inertia
+        a[1, 3] = -damping * c.per_ratio * c.per_motor_inertia
+        a[3, 1] = (a[1, 1] + c.load_viscous * c.per_load_inertia) * c.per_ratio
+        a[3, 2] = a[1, 2] * c.per_ratio - stiffness * c.per_load_inertia
+        a[3, 3] = a[1, 3] * c.per_ratio - (damping + c.load_viscous) * c.per_load_inertia
+        for column in range(8):
+            span = period * (1.0 - acting) if column == 4 else period
+            w[:] = 0.0
+            if column < 3:
+                w[column + 1] = 1.0
+            elif column < 6:
+                w[1] = c.per_motor_inertia * (1.0 if column < 5 else -c.per_ratio)
+                w[3] = w[1] * c.per_ratio - (0.0 if column < 5 else c.per_load_inertia)
+            else:
+                w[3] = c.per_load_inertia
+            for k in range(TERMS):
+                weight = 1.0
+                if column == 7:
+                    weight = span * span * (1.0 / (k + 2) - 0.5) / (k + 1)
+                elif column > 2:
+                    weight = span / (k + 1)
+                for i in range(4):
+                    rows[touching, i, column] += weight * w[i]
+                    following[i] = 0.0
+                    for j in range(4):
+                        following[i] += a[i, j] * w[j]
+                for i in range(4):
+                    w[i] = span / (k + 1) * following[i]
+        for i in range(4):
+            rows[touching, i, 3] -= rows[touching, i, 4]
+    return rows
+
+
+@_inlined
+def whole_tick(y, period, region, later_torque, rows, c, y_new):  # type: ignore[no-untyped-def]
+    """Advance ``y`` by a period into ``y_new``, with the rows of :func:`of_whole_ticks`.
+
+    Meanwhile, gravity's torque grows with the load's angle, and the arctan's difference from a
+    straight flank is that in the middle.
+    """
+    half = 0.5 * period
+    speed, twist, twist_speed = y[MOTOR_SPEED], y[TWIST], y[TWIST_SPEED]
+    load_speed = speed * c.per_ratio - twist_speed
+    angle = y[MOTOR_ANGLE] * c.per_ratio - twist + c.gravity_angle + half * load_speed
+    load = c.gravity * math.sin(angle)
+    rate = c.gravity * math.cos(angle) * load_speed
+    first, later = y[HELD_TORQUE], later_torque
+    if c.load_coulomb != 0.0:
+        load += math.copysign(c.load_coulomb, load_speed)
+    if c.motor_coulomb != 0.0:
+        losses = math.copysign(c.motor_coulomb, speed)
+        first -= losses
+        later -= losses
+    middle = twist + half * twist_speed
+    shaft = shaft_torque(middle, twist_speed, region, c.sharpness, c)
+    touching = 0
+    if c.gap == 0.0 or region == 0 or region == (2 if c.hard else 3):
+        touching = 1
+        shaft -= c.stiffness * middle + c.damping * twist_speed
+    for i in range(4):
+        r = rows[touching, i]
+        y_new[i] = r[0] * speed + r[1] * twist + r[2] * twist_speed + r[3] * first + r[4] * later
+        y_new[i] += r[5] * shaft + r[6] * load + r[7] * rate
+    y_new[MOTOR_ANGLE] += y[MOTOR_ANGLE]
+
+
 @_inlined
 def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
     """Whether a state is far from the edges of its contact region and from reversal."""
@@ -1076,7 +1181,7 @@ def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
         twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
         if not lower_edge(region, c) + margin < twist < upper_edge(region, c) - margin:
             return False
-    if not c.effects:
+    if not (c.effects or c.motor_coulomb != 0.0 or c.load_coulomb != 0.0):
         return True
     least = CLEAR * c.friction_width
     speed = y[MOTOR_SPEED]
@@ -1429,6 +1534,10 @@ def integrate(  # type: ignore[no-untyped-def]
     per_friction_angle = 0.0
     if p[Slot.shaft_hysteresis__torque_nm] != 0.0:
         per_friction_angle = 1.0 / p[Slot.shaft_hysteresis__angle_rad]
+    # A torque that the recorder sees several times a period is logged when it begins to act.
+    by_period = c.plain and not (repeated or averaged) and period <= shortest
+    rows = of_whole_ticks(delay - c.waiting, p, c) if by_period else np.zeros((0, 4, 8))
+    fresh = False
     evaluations = 0
     budget = 1000 + int(MAX_STEPS_PER_SECOND * max(1.0, stop_time - t))
     runaway = 50.0 * c.fastest_reference + 1e3
@@ -1441,25 +1550,48 @@ def integrate(  # type: ignore[no-untyped-def]
     for _ in range(budget):
         if t >= stop_time:
             return DONE, t, evaluations
-        h = min(h, longest)
-        if layer > 0.0 and has_edges:
-            h = min(h, through_layer(y, k[0, TWIST_SPEED], region, layer, p, c))
-        last = t + h >= stop_time
-        if last:
-            h = stop_time - t
-        h_usual = h
-        ends = t + h >= pause
-        if ends:
-            h = pause - t
-            last = False
-        is_short = ends and h <= shortest and is_clear(y, region, margin, p, c)
-        is_short = is_short and abs(y[TWIST_SPEED]) * h * per_friction_angle <= SHORT_PHASE
-        if is_short:
-            short_step(t, y, h, region, p, c, k, y_new, dense)
-            evaluations += 3
+        h_usual, whole = h, False
+        if fresh and next_tick <= min(stop_time, piece_end):
+            later = next_to_act(y, c) if due < next_tick else y[HELD_TORQUE]
+            whole_tick(y, period, region, later, rows, c, y_new)
+            reach = margin + period * abs(y[TWIST_SPEED])
             turned = c.direction * (y_new[MOTOR_ANGLE] * c.per_ratio - y_new[TWIST] - stop_angle)
-            is_short = turned < 0.0 and abs(y_new[MOTOR_SPEED]) <= runaway
-            is_short = is_short and is_clear(y_new, region, margin, p, c)
+            whole = turned < 0.0 and abs(y_new[MOTOR_SPEED]) <= runaway
+            whole = whole and is_clear(y, region, reach, p, c)
+            whole = whole and is_clear(y_new, region, margin, p, c)
+        is_short = whole
+        if whole:
+            h, pause, ends, last = next_tick - t, next_tick, True, False
+            y_new[INTEGRAL] = y[INTEGRAL]
+            between_ends(y, y_new, h, dense)
+            if due < next_tick:
+                y[HELD_TORQUE], due = later, math.inf
+        else:
+            if fresh:
+                right_hand_side(t, y, region, p, c, k[0])
+                evaluations += 1
+            h = min(h, longest)
+            if layer > 0.0 and has_edges:
+                h = min(h, through_layer(y, k[0, TWIST_SPEED], region, layer, p, c))
+            last = t + h >= stop_time
+            if last:
+                h = stop_time - t
+            h_usual = h
+            ends = t + h >= pause
+            if ends:
+                h = pause - t
+                last = False
+            is_short = ends and h <= shortest and is_clear(y, region, margin, p, c)
+            is_short = is_short and abs(y[TWIST_SPEED]) * h * per_friction_angle <= SHORT_PHASE
+            if is_short:
+                short_step(t, y, h, region, p, c, k, y_new, dense)
+                evaluations += 3
+                turned = c.direction * (
+                    y_new[MOTOR_ANGLE] * c.per_ratio - y_new[TWIST] - stop_angle
+                )
+                is_short = turned < 0.0 and abs(y_new[MOTOR_SPEED]) <= runaway
+                is_short = is_short and is_clear(y_new, region, margin, p, c)
+        fresh = False
         h_next, crossed, arrived = h, 0, False
         if not is_short:
             step(t, y, h, region, p, c, k, y_new)
@@ -1571,8 +1703,10 @@ def integrate(  # type: ignore[no-untyped-def]
             for i in range(n, y.size):
                 y_new[i] = y[i]
             pause = min(piece_end, next_tick, due)
-            right_hand_side(t, y, region, p, c, k[0])
-            evaluations += 1
+            fresh = ticks and by_period
+            if not fresh:
+                right_hand_side(t, y, region, p, c, k[0])
+                evaluations += 1
             # A step cut short by a pause says nothing about the next step.
             h_next = max(h_next, min(h_usual, longest))
         if crossed != 0:

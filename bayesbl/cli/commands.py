@@ -261,7 +261,8 @@ def check_command(config: ConfigPath) -> None:
     """Check a configuration or a bench file without running it."""
     from bayesbl.runs.kinds import check
 
-    plan = check(config)
+    with progress(make_console(stderr=True)) as tell:
+        plan = check(config, tell)
     for label, text in plan.lines:
         say(f"{label}: {text}")
     _print_findings(plan)
@@ -301,7 +302,8 @@ def init_command(
             err=True,
         )
         raise typer.Exit(WRONG)
-    plan = check(path)
+    with progress(make_console(stderr=True)) as tell:
+        plan = check(path, tell)
     route = guess.route
     if plan.problems and all(problem.code == NeedsBench.code for problem in plan.problems):
         route, plan.problems = "motion", []

@@ -1,10 +1,10 @@
 """Posterior of the gap and all other unknowns, from simulations of the recordings.
 
-Draws come from a second-order surrogate of the whitened signals: independent ones if it is nearly
+Draws come from a second-order surrogate of the whitened signals: independent ones if it is roughly
 normal within the ranges, otherwise by emcee. Full simulations of some draws show how far importance
 weights would move the answer. If that is less than the sampler's own error, the draws are kept as
-they are. Otherwise all are simulated and weighted. If few draws carry the weight, the surrogate is
-fitted again around them.
+they are. Otherwise the surrogate is fitted again around them. If no surrogate suffices, all draws
+of the best are simulated and weighted.
 """
 
 from __future__ import annotations
@@ -48,6 +48,8 @@ DRAWS = 1000
 CHECKED = 100
 """Number of draws that are first simulated in full: weights with standard deviation s move a mean
 by s/10 at random."""
+MOST_PROPOSED = 256_000
+"""Number of weighted draws of the surrogate. They take a second; emcee takes a minute."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
 """Effective share of the draws above which weights correct the surrogate."""
@@ -248,7 +250,8 @@ def sample_direct(
     if withheld:
         return _unsimulated(fit, settings, design_seed)
     local = _Local(fit.point, fit.peak(), fit.covariance)
-    points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
+    needed = points_needed(model)
+    points = local.drawn(needed, (model.low, model.high), design_seed)
     chi_square, surrogate = regress(
         model, points, points.mean(axis=0), _covariance(points), simulating
     )
@@ -266,15 +269,25 @@ def sample_direct(
             diagnostics = _judge(model, weighted, float(np.mean(~np.isfinite(chi_square))))
             return weighted.posterior(fit, surrogate, diagnostics)
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
-        chi_square, surrogate = regress(model, flat, local.centre, local.covariance, simulating)
-        log_weights = _log_weights(expected, chi_square)
-        effective = effective_size(log_weights)
+        used = np.linspace(0, len(flat) - 1, min(needed, len(flat))).astype(np.int64)
+        chi_square, surrogate = regress(
+            model, flat[used], local.centre, local.covariance, simulating
+        )
+        log_weights = _log_weights(expected[used], chi_square)
+        effective = effective_size(log_weights) / used.size * len(flat)
         if best is not None and effective <= best.effective:
             break  # made of draws that hardly weigh: no surrogate made of it can be better
-        best = _Weighted(walked, draws, chi_square, log_weights, effective, len(flat), refits)
-        if effective >= GOOD_SHARE * len(flat):
-            break
+        best = _Weighted(walked, draws, expected, log_weights, effective, len(flat), refits)
     assert best is not None
+    flat = best.draws.reshape(-1, best.draws.shape[-1])
+    chi_square = simulated_chi_square(model, flat)
+    log_weights = _log_weights(best.chi_square, chi_square)
+    best = replace(
+        best,
+        chi_square=chi_square,
+        log_weights=log_weights,
+        effective=effective_size(log_weights),
+    )
     why = "other_shape"
     generator = np.random.default_rng(pick_seed)
     picked = resampled(best.log_weights.reshape(draws.shape[:2]), draws.shape[1], generator)
@@ -420,7 +433,9 @@ def _walk(
     """Independent draws, or emcee until chains are long and the gap's interval is stable."""
     target, box = partial(_log_density, model, surrogate), (model.low, model.high)
     generator = np.random.default_rng(seed.spawn(1)[0])
-    independent = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
+    independent = independent_draws(
+        target, local.peak, local.covariance, box, DRAWS, generator, most=MOST_PROPOSED
+    )
     if independent is not None:
         points, chosen, share = independent
         return _independent(points[chosen], settings, share)

@@ -19,6 +19,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import quadratic_terms
 
 POINTS_PER_TERM = 1.5
+MOST_POINTS = 8192
 REACH = 2.0
 """Range of validity, relative to the furthest point: a normal posterior has nothing beyond."""
 LEAST_REACH = 10.0
@@ -63,7 +64,9 @@ class Surrogate:
 
     def chi_square(self, points: FloatArray) -> FloatArray:
         """χ², shape (m, d) to (m,); infinite outside the range of validity."""
-        return np.asarray(np.sum([part.chi_square(points) for part in self.parts], axis=0))
+        # In pieces: all terms of many points would fill the memory.
+        pieces = np.array_split(points, math.ceil(len(points) / MOST_POINTS))
+        return np.concatenate([sum(p.chi_square(rows) for p in self.parts) for rows in pieces])
 
     def chi_square_by_rotation(self, points: FloatArray) -> list[FloatArray]:
         """χ² of each recording by its ``SimulatedSignals.rotations``, (m, d) to (m, rotation)."""

@@ -26,6 +26,7 @@ from bayesbl.measurement.measurement import Answer, ExpectedSd, Measurement, Mea
 from bayesbl.measurement.two_encoder_route import CHANNELS, TwoEncoderMeasurer
 from bayesbl.measurement.two_encoder_route import NAME as WITNESS
 from bayesbl.probabilities import FALSE_ALARM, normal_isf
+from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_POSITION, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -59,9 +60,11 @@ class AutoMeasurer(Measurer):
         compares any recordings, and may fail where the amplitude does not."""
         return self.direct if any(map(moves, recordings)) else self.amplitude
 
-    def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
+    def expected(
+        self, recordings: Sequence[Recording], progress: StageProgress | None = None
+    ) -> Sequence[ExpectedSd]:
         """Expected standard deviations of the direct route."""
-        return self.direct.expected(recordings)
+        return self.direct.expected(recordings, progress)
 
     def measure(self, task: Task) -> Measurement:
         """Measure by both routes and choose the one that answers.

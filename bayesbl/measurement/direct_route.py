@@ -67,7 +67,7 @@ from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.probabilities import TOO_FEW, ends
-from bayesbl.progress import StageProgress, joined, of_stage
+from bayesbl.progress import Progress, StageProgress, joined, of_stage, silent
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
@@ -166,7 +166,9 @@ class DirectMeasurer(Measurer):
                 bench, [observation.reference_speed_rpm], self.config.estimator.bench
             )
 
-    def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
+    def expected(
+        self, recordings: Sequence[Recording], progress: StageProgress | None = None
+    ) -> Sequence[ExpectedSd]:
         """Expected at gaps within the prior, from bench and noise.
 
         A motion must repeat: otherwise its noise is unknown before a fit.
@@ -184,6 +186,7 @@ class DirectMeasurer(Measurer):
             direct_unknowns(bench, names, (low, high), moving),
             directions(bench, self.config.joint.drift),
             [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high],
+            of_stage(progress, "Estimating the precision at some gaps"),
         )
 
     def measure(self, task: Task) -> Measurement:
@@ -442,6 +445,7 @@ def expected_sds(
     unknowns: Sequence[Unknown],
     among: Sequence[Direction],
     gaps_rad: Sequence[float],
+    progress: Progress = silent,
 ) -> list[ExpectedSd]:
     """Expected posterior standard deviations at each of these gaps, before any fit.
 
@@ -454,7 +458,11 @@ def expected_sds(
     noise = [noise_of(observations, observations.signals) for observations in recordings]
     observations = [marginalising_motor_lines(recording, bench) for recording in recordings]
     model = SimulatedSignals(bench, observations, unknowns, noise, 1)
-    return [_at(model, gap_rad, among) for gap_rad in gaps_rad]
+    expected: list[ExpectedSd] = []
+    for gap_rad in gaps_rad:
+        progress(len(expected), len(gaps_rad))
+        expected.append(_at(model, gap_rad, among))
+    return expected
 
 
 def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> ExpectedSd:

@@ -375,7 +375,9 @@ class Measurer(ABC):
         """Raise if the recordings cannot be compared; return what they share, if worth saying."""
         return None
 
-    def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
+    def expected(
+        self, recordings: Sequence[Recording], progress: StageProgress | None = None
+    ) -> Sequence[ExpectedSd]:
         """Expected standard deviations at a few gaps, if they can be predicted before a fit."""
         return ()
 

@@ -507,7 +507,10 @@ def _largest_hidden(
     threshold: float,
     noise: Callable[[FloatArray], FloatArray],
 ) -> HiddenChange:
-    """The undetected change that moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
+    """The undetected change that moves δ most: max |pᵀη| with ηᵀIη = least².
+
+    Neither the change nor any unknown that hides it leaves its range.
+    """
     matrix = np.column_stack(columns)
     across = derivatives.T @ matrix
     shifts = fit.covariance @ across
@@ -515,16 +518,32 @@ def _largest_hidden(
     pull = gradient @ shifts
     hidden = np.linalg.pinv(information, hermitian=True) @ pull
     reach = math.sqrt(max(float(pull @ hidden), 0.0))
-    index = candidate.amplitudes[0]
-    unknown = candidate.unknowns[index]
-    furthest = unknown.high - float(candidate.neutral[index])
     if reach > 0.0:
         hidden *= threshold / reach
         projected = matrix @ hidden - derivatives @ (shifts @ hidden)
         hidden *= math.sqrt(float(np.mean(noise(projected))))
+    index = candidate.amplitudes[0]
+    unknown, expected = candidate.unknowns[index], float(candidate.neutral[index])
     norm = float(np.linalg.norm(hidden))
-    if norm > furthest or reach == 0.0:
-        hidden *= furthest / norm if norm > 0.0 else 0.0
-        norm = furthest
-    expected, error_rad = float(candidate.neutral[index]), abs(float(pull @ hidden))
-    return HiddenChange(unknown.name, expected, norm, error_rad)
+    direction = hidden / norm if norm > 0.0 else hidden
+    # The fit takes a hidden change for one of its unknowns, so these really are elsewhere.
+    truth = -shifts @ direction
+    furthest = max(
+        min(end, _room(fit, sign * truth))
+        for sign, end in ((1.0, unknown.high - expected), (-1.0, expected - unknown.low))
+    )
+    size = min(norm, furthest) if reach > 0.0 else furthest
+    return HiddenChange(unknown.name, expected, size, abs(size * float(pull @ direction)))
+
+
+def _room(fit: SimulatedFit, direction: FloatArray) -> float:
+    """How far the unknowns can move in a direction before one leaves its range.
+
+    Dry friction hides only where the viscous friction that it replaces remains positive.
+    """
+    ends = np.array([[u.low, u.high] for u in fit.model.unknowns])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rooms = (
+            np.where(direction < 0.0, ends[:, 0] - fit.point, ends[:, 1] - fit.point) / direction
+        )
+    return max(float(np.min(rooms, where=direction != 0.0, initial=math.inf)), 0.0)

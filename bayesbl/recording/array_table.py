@@ -29,7 +29,7 @@ from bayesbl.units import is_unit, spelled
 
 MISSING = frozenset(
     "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
-    "|#num!|-|--|---|?|missing|∞|-∞".split("|")
+    "|#num!|-|--|---|?|missing|∞|-∞|bad input|bad data|no data|i/o timeout|comm fail".split("|")
 )
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -122,7 +122,7 @@ def _may_be_decimal(example: str, mark: str) -> RecordingError:
 
 _STAMP = re.compile(
     r"(?:\d+ days? +)?"  # as pandas writes a duration: begun again after a day, it is the next
-    r"(?:(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})[T ,;_]*)?"
+    r"(?:L?DTL?#)?(?:(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})[T ,;_@-]*)?"
     r"(\d{1,2}):(\d{2})(?:(?<=\d[T ]\d\d:\d\d)|:(\d{2})(?:[.,:;](\d{1,9}))?)"
     r"\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
 )
@@ -143,6 +143,7 @@ _NAMED_MONTH = re.compile(
 def _stamp(text: str) -> re.Match[str] | None:
     """Match date or time; months may be named: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
     text = _COMPACT.sub(r"\1-\3-\4T\5:\7:\8", text)
+    text = re.sub(r"^(\d{1,2}:\d\d[.,]\d+)$", r"0:\1", text)  # minutes and seconds
     named = _NAMED_MONTH.match(text)
     if named and bool(named[1]) != bool(named[3]):
         month = _OTHER_MONTHS.get(named[2].lower(), named[2].lower())
@@ -318,6 +319,11 @@ class ArrayTable:
         which = f"sample {row + 1}" if self.lines is None else f"line {self.lines[row]}"
         return f'{which}, column "{column}"'
 
+    def reversed(self) -> ArrayTable:
+        """The table with its rows in reverse order."""
+        lines = None if self.lines is None else self.lines[::-1]
+        return replace(self, arrays={n: v[::-1] for n, v in self.arrays.items()}, lines=lines)
+
     def without_values(self) -> ArrayTable:
         """The table with empty columns: names, units and places remain."""
         return replace(self, arrays={name: values[:0] for name, values in self.arrays.items()})
@@ -340,13 +346,15 @@ class ArrayTable:
 
     def _with_milliseconds(self, seconds: FloatArray) -> FloatArray:
         """Whole seconds, shape (n,), plus the milliseconds of another column
-        (``Date,Time,Millitm``) if the sum increases."""
-        if np.any(seconds % 1.0 != 0.0) or np.all(np.diff(seconds) > 0.0):
+        (``Date,Time,Millitm``) if these never decrease within a second."""
+        steps = np.diff(seconds)
+        if np.any(seconds % 1.0 != 0.0) or np.all(steps > 0.0):
             return seconds
         for name, values in self.arrays.items():
             if _MILLISECONDS.search(name) and values.dtype.kind in "iuf":
-                whole = seconds + 1e-3 * values
-                if values.min() >= 0 and values.max() < 1000 and np.all(np.diff(whole) > 0.0):
+                ordered = np.all((np.diff(values) >= 0.0) | (steps != 0.0))
+                if values.min() >= 0 and values.max() < 1000 and ordered:
+                    whole = seconds + 1e-3 * values
                     return np.asarray(whole - whole[0])
         return seconds
 

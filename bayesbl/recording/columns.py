@@ -54,6 +54,10 @@ COUNTED = frozenset(("sample", "samples"))
 _INDEX = re.compile(r"(?:[\s_]|[\s_]?[(\[])\d+[)\]]?$")
 """End of a name that numbers a joint, or one of several columns of the same name."""
 
+_IN_A_SECOND = {"nano": 1e9, "n": 1e9, "micro": 1e6, "u": 1e6, "milli": 1e3, "m": 1e3}
+_PART_OF_SECOND = re.compile(rf"({'|'.join(_IN_A_SECOND)})(s(?:ecs?|econds?)?)$")
+_FULL_WIDTH = str.maketrans("（）［］【】／％", "()[][]/%")
+
 _COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
 
 
@@ -150,7 +154,7 @@ def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> Stat
     like a unit but is not known here is ``unknown``, because a guess would be wrong by a factor.
     Indices (``x[0]``) and remarks are not units.
     """
-    name = column if name is None else name
+    name = (column if name is None else name).translate(_FULL_WIDTH)
     scaled = _SCALED.search(name.strip())
     of_name = StatedUnit(name, None, scaled[0]) if scaled else _bracketed(name) or _ending(name)
     if of_name.unit and (scaled := _SCALED.search(of_name.bare.strip())):  # n x10 [rpm]
@@ -168,16 +172,21 @@ def stamps_and_values(
 ) -> tuple[FloatArray, FloatArray]:
     """Numbers of a time column, shape (n,), and of other columns, shape (n, c).
 
-    If a second column holds nanoseconds to whole seconds (ROS writes ``stamp.sec`` and
-    ``stamp.nanosec``), they are added.
+    If a second column holds parts of whole seconds (``stamp.sec`` and ``stamp.nanosec`` of ROS,
+    ``tv_sec`` and ``tv_usec``), they are added.
     """
-    nano = "(?i)n(ano)?(?=s(ecs?|econds?)?$)"
-    rest = [name for name in table.columns if name != time and re.sub(nano, "", name) == time]
+    found = ((name, _PART_OF_SECOND.search(name.lower())) for name in table.columns)
+    rest = {
+        name: _IN_A_SECOND[part[1]]
+        for name, part in found
+        if part and name != time and name.lower()[: part.start()] + part[2] == time.lower()
+    }
     read = table.numbers([time, *columns, *rest])
-    stamps, nanoseconds = read[:, 0], read[:, 1 + len(columns) :]
-    are_parts = np.all((nanoseconds >= 0.0) & (nanoseconds < 1e9))
-    if len(rest) == 1 and are_parts and np.all(stamps == np.floor(stamps)):
-        stamps = stamps - stamps[0] + 1e-9 * nanoseconds[:, 0]
+    stamps, parts = read[:, 0], read[:, 1 + len(columns) :]
+    if len(rest) == 1 and np.all(stamps == np.floor(stamps)):
+        whole = next(iter(rest.values()))
+        if np.all((parts >= 0.0) & (parts < whole)):
+            stamps = stamps - stamps[0] + parts[:, 0] / whole
     return stamps, read[:, 1 : 1 + len(columns)]
 
 
@@ -269,20 +278,30 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
 
 
 def _require_agreement(of_file: StatedUnit, channel: str, spec: ColumnSpec) -> None:
-    """Refuse a plain unit beside another one that the file states, perhaps of a later export.
+    """Refuse a plain unit beside another one that the file states, perhaps of a later export, and
+    anything but a share beside per cent.
 
-    A unit in the column's name is part of what the configuration says already.
+    A unit in the column's name is part of what the configuration says already. A word that is no
+    unit here may be the same unit in another language.
     """
-    plain = accepted_units(channel)  # datetime says how numbers are written, not how large they are
-    if of_file.unit is None or spec.unit not in plain or spec.unit == "datetime":
-        return
-    sizes = [conversion_factor(channel, unit) for unit in (of_file.unit, spec.unit)]
-    if not math.isclose(*sizes):
+    unit, other = spec.unit or "", of_file.unit or of_file.unknown or ""
+    if "%" in other or "‰" in other:
+        agree = " of " in unit
+        expected = f'a share, as unit = "% of 12.5 {accepted_units(channel)[0]}"'
+    elif unit == "datetime" or unit not in accepted_units(channel):
+        return  # datetime says how numbers are written, not how large they are
+    elif of_file.unit:
+        agree = math.isclose(*(conversion_factor(channel, each) for each in (unit, of_file.unit)))
+        expected = f'unit = "{of_file.unit}", or unit = "1 {unit}" if the file is wrong'
+    else:
+        agree = not is_unit(other) and _plain(other) not in _OTHER_UNITS
+        expected = f'unit = "1 {unit}" if the file is wrong; {choice_of_units(channel)}'
+    if not agree:
         raise RecordingError(
             "[columns] and the file state different units.",
             where=f'column "{spec.name}"',
-            found=f"{spec.unit} under [columns], {of_file.unit} in the file",
-            expected=f'unit = "{of_file.unit}", or unit = "1 {spec.unit}" if the file is wrong',
+            found=f"{unit} under [columns], {other} in the file",
+            expected=expected,
         )
 
 

@@ -45,8 +45,8 @@ from bayesbl.units import (
 
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
-        TIME: "t time timestamp stamp zeit uhrzeit temps tempo tijd clock elapsed runtime ts "
-        "sample samples",
+        TIME: "t time timestamp timestamps stamp zeit uhrzeit temps tempo tijd clock elapsed "
+        "runtime ts sample samples",
         MOTOR_SPEED: "speed velocity vel velo omega w rpm erpm drehzahl n dq qd qvel",
         MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q qpos aipos "
         "twist torsion deflection displacement messuhr",
@@ -60,7 +60,8 @@ _TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
 
 _REFERENCE = (
     "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
-    "vorgabe consigne vcmd pcmd tcmd icmd "
+    "vorgabe consigne consigna riferimento referencia vcmd pcmd tcmd icmd "
+    "commanded requested request planned profile prescribed "
     "action"  # of a policy, to the joint
 )
 _SETPOINT = re.compile(r"[^\W\d]\*\s*$|指令|给定")
@@ -72,7 +73,7 @@ _BESIDE = (
     "error err deviation difference diff lag residual abweichung fehler temperature temp "
     "supply bus battery dc freq frequency term "
     "limit limits lim max maximum min minimum peak rated nenn grenze grenzwert threshold "
-    "feedforward ff vorsteuerung "
+    "feedforward ff vorsteuerung quality validity status numericid override "
     "ina"  # a monitor of the supply is called by its chip: INA219
 )
 """Words that mark another quantity beside a channel of that name."""
@@ -84,8 +85,24 @@ _FILTERED = (
     "filtered filt smooth smoothed avg average averaged mean geglättet gefiltert gemittelt "
     "estimated estimate est observer model simulated virtual geschätzt"
 )
-_OF_WINDING, _BY_SYMBOL = "d u v w alpha beta phase flux feldbildend", "id iu iv iw"
-"""Words of currents of one winding, or along the flux; id may also be the number of a node."""
+_OF_WINDING, _BY_SYMBOL = (
+    "d u v w alpha beta phase flux feldbildend reactive direct magnetising magnetizing "
+    "input mains netz zwischenkreis brake brems",
+    "id iu iv iw",
+)
+"""Words of currents of one winding, along the flux, of the supply or of the brake; id may also be
+the number of a node."""
+
+_NOT_DRIVING = "absolute abs betrag disturbance stör friction reib gravity cogging holding halte"
+"""Words of currents and torques that do not drive the motor, or have lost their sign."""
+
+_OF_DRIVE = (
+    "active generating producing momentenbildend wirk quadrature axis joint drive servo value "
+    "channel signal control controller shaft rotor side"
+)
+"""Words of a current or torque that is the motor's."""
+
+_MEASURED = "act actual ist fb feedback measured meas real present"
 
 _CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"  # names of the groups of one joint's columns
@@ -98,10 +115,19 @@ in a message or for axes."""
 _AXIS = re.compile(r"(?<![^\W_])(?:[aj]\d|ax[ie]s|achse|actual_qd?|qd?_act)", re.IGNORECASE)
 """Names of an axis or its joint, logged behind the gearbox: ``A1``, ``actual_qd_0``."""
 
+_OF_JOINT = re.compile(
+    r"(?<![^\W_])(?:(?i:ax[ie]s|achse|joint|gelenk|drive|antrieb)[\s_.]*(\d+|[A-EX-Z])"
+    r"|(?i:motor|servo|[ajm])[\s_.]*(\d+))(?![^\W_])"
+)
+"""The number or letter of an axis in a name: ``Axis1 speed``, ``Drive_B.Current``."""
+
 _TOKEN = re.compile(r"\d+|[^\W\d_]+")
 _STEMS = frozenset(
     word
-    for words in (*_NAMES_OF.values(), _REFERENCE, _LOAD, _MOTOR, "ist act actual value wert")
+    for words in (
+        *_NAMES_OF.values(),
+        f"{_REFERENCE} {_LOAD} {_MOTOR} {_OF_WINDING} {_NOT_DRIVING} {_MEASURED} value wert",
+    )
     for word in words.split()
     if len(word) > 2
 )
@@ -291,6 +317,12 @@ class _Named:
         return bool(np.all(np.isin(self.values, (0.0, 1.0))))
 
     @property
+    def is_constant(self) -> bool:
+        """Whether it never changes, as a setpoint."""
+        there = self.values[np.isfinite(self.values)]
+        return bool(np.all(there == there[:1]))
+
+    @property
     def increases(self) -> bool:
         """Whether it may be time."""
         there = self.values[np.isfinite(self.values)]
@@ -370,7 +402,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
     elif not ramps:
         guesses = _of_motor(guesses, chosen, held)
-    columns = tuple(_with_rivals(guesses, named))
+    columns = tuple(_with_rivals(_with_unknown_words(guesses, named), named))
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -475,6 +507,11 @@ def _names_of_joints(table: ArrayTable) -> list[str]:
     words = {w for each in turning for place, w in each.items() if times[place] > 1}
     words = {word for word in words if word.lower() not in _NO_JOINT}
     driven = [t for t, c in zip(tokens, channels, strict=True) if c in _DRIVEN]
+    found = (_OF_JOINT.search(name) for name in table.columns)
+    numbers = [next(filter(None, match.groups())) if match else "" for match in found]
+    of_axes = {n for n, c in zip(numbers, channels, strict=True) if n and c in _SWITCHED}
+    if not any(own) and len(of_axes) > 1:
+        return [n if c in _SWITCHED else "" for n, c in zip(numbers, channels, strict=True)]
     joints = {*own} - {""} or (words if any(words.intersection(t) for t in driven) else set())
     return [
         of_name or next((word for word in t if word in joints and c in _SWITCHED), "")
@@ -696,7 +733,9 @@ def _channel(column: _Named) -> str | None:
         return None
     is_named = column.is_called(_NAMES_OF[MOTOR_CURRENT])
     no_torque = column.is_called(_OF_WINDING) or (column.is_called(_BY_SYMBOL) and not is_named)
-    if kind == MOTOR_CURRENT and no_torque:
+    if kind in _DRIVEN and (
+        column.is_called(_NOT_DRIVING) or (kind == MOTOR_CURRENT and no_torque)
+    ):
         return None
     if column.is_called(_REFERENCE) or _SETPOINT.search(column.stated.bare):
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
@@ -736,8 +775,34 @@ def _rank(column: _Named) -> tuple[bool, ...]:
         column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
         column.stated.unknown is not None,
         not column.is_called(_MOTOR),
+        column.is_constant and _channel(column) == MOTOR_SPEED,
+        not column.is_called(_MEASURED),
         max(map(len, column.words), default=0) == 1,
     )
+
+
+def _with_unknown_words(
+    columns: Sequence[GuessedColumn], named: Sequence[_Named]
+) -> list[GuessedColumn]:
+    """A question for a current or torque whose name has a word more, as ``PSU current`` has.
+
+    Words that the speed or the position shares are the joint's name.
+    """
+    words = {c.name: _words(c.stated.bare.rpartition(".")[2].rpartition("/")[2]) for c in named}
+    of_joint = {w for c in columns if c.channel in _TURNING for w in words.get(c.name, ())}
+    doubted = [*columns]
+    for column in columns:
+        own = words.get(column.name, frozenset())
+        known = (
+            (_NO_JOINT - {"rms"}) | of_joint | {*_OF_DRIVE.split()}
+        )  # rms may have lost its sign
+        unknown = {word for word in own - known if word.isalpha() and len(word) > 2}
+        if column.channel not in _DRIVEN or own.isdisjoint(_NAMES_OF[column.channel].split()):
+            continue
+        if unknown and column.name != column.channel:
+            asked = f'"{min(unknown)}" in its name may mean another; {column.reason}'
+            doubted = _changed(doubted, column.channel, reason=asked, doubted=True)
+    return doubted
 
 
 def _with_rivals(columns: Sequence[GuessedColumn], named: Sequence[_Named]) -> list[GuessedColumn]:
@@ -875,6 +940,7 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
         return None
     there = column.values[np.isfinite(column.values)]
     steps = np.diff(there)
+    steps = -steps if np.all(steps < 0.0) else steps  # the newest first
     if np.all((there > 1990e10) & (there < 2100e10) & (there % 100 < 60) & (there % 1e6 < 24e4)):
         return UNKNOWN, f"write its dates with marks: 2026-03-14T08:12:33, not {there[0]:.0f}"
     of_name = _channel(column) == TIME

@@ -46,6 +46,7 @@ from bayesbl.recording.repairs import (
     unwrapped,
     without_strays,
 )
+from bayesbl.recording.text_table import in_columns
 from bayesbl.recording.types import FloatArray, Recording, Source
 
 POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
@@ -105,6 +106,9 @@ def _recording(
     time_column, *others = choose_columns(table, columns)
     repairs = Counter(table.repairs)
     stamps, values = _values(table, time_column, others)
+    if stamps.size > 1 and np.all(stamps[1:] < stamps[:-1]):
+        repairs["row put in order, as the newest came first"] += stamps.size
+        stamps, values, table = stamps[::-1].copy(), values[::-1].copy(), table.reversed()
     table = table.without_values()
     rows = np.flatnonzero(np.isfinite(stamps))
     _check_length(table, time_column, rows.size)
@@ -258,7 +262,7 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
         sha256.update(other)
         data = of_two(data, other)
     if not format_.signatures:  # text is read by this package itself
-        table = format_.read(data)
+        table = in_columns(format_.read(data))
         return replace(table, file=str(path)), sha256.hexdigest()
     if not format_.is_begun_by(data):
         raise RecordingError(
@@ -272,7 +276,8 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
             found=f"no module {format_.library}",
             expected='pip install "bayesbl[formats]", or the recording as CSV',
         )
-    return replace(parsed_apart(format_, data), file=str(path)), sha256.hexdigest()
+    table = in_columns(parsed_apart(format_, data))
+    return replace(table, file=str(path)), sha256.hexdigest()
 
 
 def _beside(path: Path, places: Sequence[str]) -> bytes:

@@ -66,14 +66,20 @@ text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
+_KIND = re.compile(
+    r"l?real|u?[dls]?int|(?:float|double|u?int)\d*|[fus](?:8|16|32|64)|[ld]?word|byte|bool",
+    re.IGNORECASE,
+)
+"""A kind of number, in a row of its own below the names."""
 _STEP = re.compile(
     r"\W*(?:(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate)|abtast\w*"
     r"|delta.?x|[xt].?inc|x?.?increment|d[tx]"
-    r"|(?:sampl(?:e|ing)|scan|record(?:er|ing)?|trace).?(?:time|interval|period|resolution))"
+    r"|(?:sampl(?:e|ing)|scan).?time"  # the time of a recording or trace is its length
+    r"|(?:sampl(?:e|ing)|scan|record(?:er|ing)?|trace).?(?:interval|period|resolution))"
     r"\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*(?:[:=]|is )?\s*(?P<value>.*)",
     re.IGNORECASE,
 )
-_LONGEST_STEP_S = 0.1  # A longer step without a unit may be in ms
+_LONGEST_STEP_S = 0.1  # A longer step may be in ms, or the length of the recording
 MOST_ABOVE = 50  # non-blank lines in which the first sample is sought
 MOST_COLUMNS = 1000  # A file may have more columns if it has as many lines
 MOST_INCOMPLETE = 0.05  # largest share of incomplete lines that count as lost samples
@@ -239,11 +245,9 @@ def layout_of(
         return Layout(separator, names, mark, stated, begin=begin, step_s=step_s)
     last, names, units = heading
     units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells, width)
-    scales = _of_key(SCALES, above_cells, width)
-    scales = tuple(cell if cell not in ("0", "1") else "" for cell in scales)
-    if any(scales):  # which may have been applied or not
+    for scales in _rows_of_key(SCALES, above_cells, width):  # may have been applied or not
         both = zip_longest(units, scales[: len(names)], fillvalue="")
-        units = tuple(f"{u} (scale {scale})" if is_bare_number(scale) else u for u, scale in both)
+        units = tuple(f"{u} (scale {s})" if _is_scale(s) else u for u, s in both)
     if heading[2] or not any(labels):
         labels = ()
     pairs = zip(labels, names, strict=False)
@@ -281,6 +285,8 @@ def _header_of(
         of_units = re.match(r"\w*(?:unit|einheit)", cells[0], re.IGNORECASE) if cells else None
         if not any(cells) or (of_units and any(is_unit(spelled(cell)) for cell in cells[1:])):
             continue
+        if all(_KIND.fullmatch(cell) for cell in cells if cell):
+            continue
         numbers = sum(map(is_bare_number, cells))
         if len(cells) in widths and not numbers:
             named.append(i)
@@ -288,16 +294,19 @@ def _header_of(
             named.clear()  # by a row of another table, but not by a word and its value
     if not named:
         return None
-    names = above[named[-1]]
-    before = above[named[-2]] if len(named) > 1 else []
+    titled = [above[i] for i in named]
+    names = titled.pop()
+    before = titled[-1] if titled else []
     below, on_top = ([cell.strip("[]() ") for cell in row] for row in (names, before))
     of_below, of_top = ([cell for cell in row if is_unit(spelled(cell))] for row in (below, on_top))
     units: list[str] = []
     if before and of_below and len(of_below) >= len(of_top):
-        names, units = before, below
+        names, units = titled.pop(), below
+        before = titled[-1] if titled else []
     elif len(set(of_top)) > 1 and len(of_top) == sum(map(bool, on_top)):
         units = on_top
-    elif len(set(names)) < len(names) and len(set(filter(None, before))) > 1:
+        before = []
+    if len(set(names)) < len(names) and len(set(filter(None, before))) > 1:
         # A title over each of several columns that are called alike: "Speed,,Current," over "X,Y";
         # or a kind below each of names that are all there: "date,D,D".
         if len(set(before)) == len(before) and all(before):
@@ -317,10 +326,20 @@ def _of_one_key(cells: list[str]) -> list[str]:
     return [cell.partition(":")[2].strip() for cell in cells] if is_of_units else []
 
 
-def _of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> tuple[str, ...]:
-    """The last row whose first cell matches, without that cell; empty if it is too long."""
+def _rows_of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> list[tuple[str, ...]]:
+    """The rows whose first cell matches, without that cell; empty if a row is too long."""
     matching = [row for row in rows if len(row) > 2 and re.search(words, row[0], re.IGNORECASE)]
-    return ("", *matching[-1][1:]) if matching and not any(matching[-1][width:]) else ()
+    return [() if any(row[width:]) else ("", *row[1:]) for row in matching]
+
+
+def _of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> tuple[str, ...]:
+    """The last row whose first cell matches; empty without one."""
+    return next(reversed(_rows_of_key(words, rows, width)), ())
+
+
+def _is_scale(cell: str) -> bool:
+    """Whether a factor or offset changes anything, with either decimal mark."""
+    return is_bare_number(cell) and not {number_in(cell, mark) for mark in ".,"} <= {None, 0.0, 1.0}
 
 
 def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
@@ -328,7 +347,10 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
     for row, below in zip(rows, [*rows[1:], []], strict=False):
         for i, cell in enumerate(row):
             match = _STEP.match(cell)
-            for held in (match["value"], *row[i + 1 : i + 2], *below[i : i + 1]) if match else ():
+            beside = row[i + 1 : i + 3]
+            if beside[1:] and not is_bare_number(beside[1]):  # the unit has a cell of its own
+                beside = [" ".join(beside).strip()]
+            for held in (match["value"], *beside[:1], *below[i : i + 1]) if match else ():
                 number, unit = parted(held.translate(dict.fromkeys(map(ord, "[]()"))))
                 value = number_in(number, decimal_mark([number]))
                 if value and value > 0.0 and match is not None:
@@ -337,7 +359,7 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
                     if is_accepted(channel, unit):
                         size = value * conversion_factor(channel, unit)
                         step = 60.0 / size if match["rate"] else size
-                        return step if unit != usual or step <= _LONGEST_STEP_S else None
+                        return step if step <= _LONGEST_STEP_S else None
     return None
 
 
@@ -535,7 +557,7 @@ def _cut(
         cells = layout.cells(line)
         if bare.startswith(_COMMENT):
             kind = "comment left out"
-        elif tuple(cells) in layout.header:
+        elif tuple(cells) in layout.header and layout.step_s is None:
             kind = "repeated header left out"
         elif len(cells) == width and (
             any(map(is_value, cells)) or all(cell.lower() in MISSING for cell in cells)
@@ -545,7 +567,7 @@ def _cut(
         elif any(map(is_number, cells)):
             kind = _INCOMPLETE
             incomplete.append((index, len(cells)))
-        elif len(cells) == width and set(cells) & set(layout.names):
+        elif set(cells) & set(layout.names) and (len(cells) == width or layout.step_s is not None):
             raise RecordingError(
                 "There is another header among the samples.",
                 where=f"line {index + 1}",
@@ -579,7 +601,7 @@ _FORMS = tuple(
     re.compile(form + r"\s+(?P<value>\S+)(?:\s.*)?")
     for form in (rf"{_NAME}\s+{_STAMP}", rf"{_STAMP}\s+{_NAME}", rf"(?P<stamp>{_DATE})(?P<name>)")
 )
-_VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
+_VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert|payload)$", re.IGNORECASE)
 _KEY = re.compile(
     r"(?:tag|name|signal|variable|field|joint|axis|achse|motor_?id|node)"
     r"(?:[\s_.]*(?:id|no|nr|name|number|nummer|index|\d+))?\W*$",
@@ -604,6 +626,23 @@ _PAIR = re.compile(
     r"([+-]?\d[\d.]*(?:[eE][+-]?\d+)?(?:\s?[^\W\d][^\s,;|:=]*(?!\s*[:=]))?)"
     r"(?=[\s,;|]|$)[\s,;|]*"
 )
+
+
+def in_lines(head: Sequence[str]) -> list[str] | None:
+    """A whole text with a line for each channel (name, perhaps unit, samples) as lines of samples.
+
+    ``None`` for any other text: the first line of a table does not end with a number.
+    """
+    written = [line for line in head if line.strip()]
+    for separator in _SEPARATORS[:3]:
+        rows = [_split(line, separator) for line in written]
+        width = max(map(len, rows), default=0)
+        rows = [row for row in rows if len(row) == width]
+        if 1 < len(rows) < width and all(
+            is_number(row[-1]) and not is_value(row[0]) for row in rows
+        ):
+            return [separator.join(cells) for cells in zip(*rows, strict=True)]
+    return None
 
 
 def in_cells(text: bytes, head: Sequence[str]) -> ArrayTable | None:
@@ -658,16 +697,23 @@ def in_columns(table: ArrayTable) -> ArrayTable:
         TagName,Timestamp,Value,Quality
         J3.Position,2026-03-14T08:12:33.005Z,1.12222,192
     """
-    numbers = {n: v for n, v in table.arrays.items() if v.dtype.kind == "f"}
+    if table.clocks or len({v.size for v in table.arrays.values()}) != 1:
+        return table
+    numbers = {
+        n: v.astype(float, copy=False) for n, v in table.arrays.items() if v.dtype.kind in "iuf"
+    }
     held = {n: v for n, v in numbers.items() if _VALUE.search(n)}
     values = [*held.values()]
-    if all(np.array_equal(values[0], v, equal_nan=True) for v in values[1:]):
-        values = values[:1]
+    # Several such columns are copies, or one for each kind of number.
+    if values and np.array_equal(np.fmin.reduce(values), np.fmax.reduce(values), equal_nan=True):
+        values = [np.fmin.reduce(values)]
     keys = []
     for name, cells in table.arrays.items():
-        is_called, is_text = _KEY.search(name) is not None, cells.dtype.kind == "S"
+        is_called, is_text = _KEY.search(name) is not None, cells.dtype.kind in "SUO"
         if name in held or not (is_called or is_text):
             continue
+        if cells.dtype.kind in "UO":
+            cells = np.array([b"" if c is None else str(c).encode() for c in cells.tolist()])
         if is_text and is_date(next(filter(None, cells.tolist()), b"").decode()):
             continue
         words, index, times = np.unique(cells, return_inverse=True, return_counts=True)
@@ -680,7 +726,8 @@ def in_columns(table: ArrayTable) -> ArrayTable:
         most = index == np.argmax(times)
         clocks = dates | {n: v for n, v in numbers.items() if n not in held}
         for clock, time in sorted(clocks.items(), key=lambda each: not is_called_time(each[0])):
-            if clock == name or not np.all(np.diff(time[most]) > 0.0):
+            steps = np.diff(time[most])
+            if clock == name or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
                 continue
             columns = {"": values[0]} if len(values) == 1 else {}
             turns = np.mean(index[1:] != index[:-1]) > 0.5 or np.any(np.diff(time) <= 0.0)

@@ -118,13 +118,13 @@ def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> x
     return made
 
 
-def check(path: str | Path) -> Plan:
+def check(path: str | Path, progress: StageProgress | None = None) -> Plan:
     """Check everything that can be checked without running.
 
     Raises ConfigError if the file cannot be read or is invalid; all other problems are in the plan.
     """
     kind = kind_of(path)
-    plan = Plan(path, [("kind", kind)], is_check=True)
+    plan = Plan(path, [("kind", kind)], is_check=True, progress=progress)
     if kind in FILES.keys() - KINDS.keys():  # without an output folder: the file itself is taken
         _workflow(kind).describe(Path(path), plan)
         return plan

@@ -61,7 +61,7 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
     if plan.is_check:
         # It is for a run to refuse a recording, one that something shakes say.
         with suppress(UserError, np.linalg.LinAlgError):
-            sds = measurer.expected(plan.recordings)
+            sds = measurer.expected(plan.recordings, plan.progress)
             plan.add("expected", lambda: _expected(sds, config))
     if config.joint.limit_rad is not None or config.joint.limit is not None:
         plan.add("limit", partial(_limit, config, measurer.gap_range_rad))

@@ -62,6 +62,7 @@ class Plan:
     problems: list[UserError] = field(default_factory=list)
     recordings: list[Recording] = field(default_factory=list)  # so that a run need not read them
     is_check: bool = False  # whether no run follows
+    progress: StageProgress | None = None  # of a check
 
     def add(self, label: str, text: Callable[[], str | None]) -> None:
         """Add a line, unless it is ``None``, or the problem met while making it."""

@@ -188,8 +188,14 @@ def judge(
     if not math.isfinite(autocorrelation_steps):
         failures.append(Flaw("walker_stuck"))
     elif not steps > STEPS_PER_AUTOCORRELATION * autocorrelation_steps:
-        values = {"steps": steps, "autocorrelation_steps": autocorrelation_steps}
-        flaw = Flaw("chain_short", values | {"needed": STEPS_PER_AUTOCORRELATION})
+        values = {
+            "steps": steps,
+            "autocorrelation_steps": autocorrelation_steps,
+            "needed": STEPS_PER_AUTOCORRELATION,
+            # A short chain underestimates its autocorrelation time.
+            "needed_steps": 2 * math.ceil(STEPS_PER_AUTOCORRELATION * autocorrelation_steps),
+        }
+        flaw = Flaw("chain_short", values)
         enough = steps > 0.4 * STEPS_PER_AUTOCORRELATION * autocorrelation_steps
         (doubts if enough else failures).append(flaw)
     fewest = min(ess_bulk, key=lambda n: ess_bulk[n])

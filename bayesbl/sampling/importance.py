@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +20,55 @@ WITHIN_SD = 4.0
 """Standard deviations from the peak beyond which an end of a range cuts nothing."""
 PROPOSED = 8000
 """Draws per proposal, unless stated otherwise."""
-ADAPTATIONS = 4
-LARGEST_TAIL = 0.7
-"""Largest Pareto k̂ for which this many weights suffice (Vehtari et al. 2024)."""
+ADAPTATIONS = 6
 LEAST_SHARE = 0.25
 """Kish's effective share of the draws from which the proposal is good enough."""
-FEWEST = 3.0
-"""Effective draws per coordinate below which adaptation is given up."""
 FLATTEST = 0.1
 """Smallest curvature of a proposal, relative to a normal distribution as wide as the draws. If only
 the box limits the draws, the fitted quadratic may curve upward."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Proposal:
+    """Draws of a normal distribution within a box, weighted by a density.
+
+    ``points``, (m, d); ``log_density`` and Pareto-smoothed ``log_weights``, (m,); ``tail``: k̂.
+    """
+
+    peak: FloatArray
+    covariance: FloatArray
+    points: FloatArray
+    log_density: FloatArray
+    log_weights: FloatArray
+    tail: float
+
+    @property
+    def effective(self) -> float:
+        """Kish's effective sample size."""
+        return effective_size(self.log_weights)
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights, the largest one, (m,)."""
+        return np.asarray(np.exp(self.log_weights - self.log_weights.max()))
+
+    def is_good(self, least: float) -> bool:
+        """Whether so many weights with this tail suffice, and at least ``least`` are effective.
+
+        n weights suffice up to k̂ = 1 − 1/log₁₀ n (Vehtari et al. 2024).
+        """
+        return self.tail < 1.0 - 1.0 / math.log10(len(self.points)) and self.effective > least
+
+    def quadratic(self) -> tuple[FloatArray, FloatArray]:
+        """Peak and covariance of the quadratic through the weighted log density."""
+        return _quadratic(self.points, self.log_density, self.weights)
+
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and covariance of the weighted draws."""
+        return (
+            np.average(self.points, axis=0, weights=self.weights),
+            np.atleast_2d(np.cov(self.points.T, aweights=self.weights)),
+        )
 
 
 def independent_draws(
@@ -37,11 +79,13 @@ def independent_draws(
     count: int,
     generator: np.random.Generator,
     proposed: int = PROPOSED,
+    most: int = 0,
 ) -> tuple[FloatArray, NDArray[np.int64], float] | None:
-    """Draws of a density that is nearly normal within a box.
+    """Draws of a density that is roughly normal within a box.
 
     Draws of a normal distribution within the box get Pareto-smoothed weights and are resampled. The
-    proposal adapts: a quadratic is fitted to the weighted log density.
+    proposal adapts: a quadratic is fitted to the weighted log density, or if that is no better, the
+    mean and covariance of the weighted draws are taken.
 
     Parameters
     ----------
@@ -51,34 +95,62 @@ def independent_draws(
         Peak and covariance of the first proposal without its box, shapes (d,) and (d, d).
     box
         Low and high end of every range, shapes (d,); infinite where there is none.
-    proposed
-        Draws of each proposal.
+    proposed, most
+        Draws of each proposal, and at most of the best one if they are too few.
 
     Returns
     -------
-    The last points that ``target`` was given, (proposed, d); the index among them of each draw,
-    (count,); and their effective share. ``None`` if no proposal is close enough, as for a density
-    of another shape.
+    The last points that ``target`` was given, (m, d); the index among them of each draw, (count,);
+    and the number of effective draws by ``proposed``, at most one. ``None`` if no proposal is close
+    enough, as for a density of another shape.
     """
+    least = LEAST_SHARE * proposed
+    best = _proposal(target, peak, covariance, box, proposed, generator)
+    for _ in range(ADAPTATIONS):
+        if best is None or best.is_good(least):
+            break
+        for adapted in (best.quadratic, best.moments):
+            # A singular fit: no variation is left in some direction.
+            with suppress(np.linalg.LinAlgError):
+                trial = _proposal(target, *adapted(), box, proposed, generator)
+                if trial is not None and trial.effective > best.effective:
+                    best = trial
+                    break
+        else:
+            break
+    if best is not None and most > proposed:
+        # Twice as many as seem to suffice, because a larger sample shows more of a tail.
+        enough = math.ceil(2.0 * least * proposed / best.effective)
+        for size in (min(enough, most), most):
+            if best is not None and not best.is_good(least):
+                best = _proposal(target, best.peak, best.covariance, box, size, generator)
+    if best is None or not best.is_good(least):
+        return None
+    chosen = resampled(best.log_weights[None], count, generator)[0]
+    return best.points, chosen, min(best.effective / proposed, 1.0)
+
+
+def _proposal(
+    target: Callable[[FloatArray], FloatArray],
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> _Proposal | None:
+    """Weighted draws of one proposal; ``None`` if none has weight."""
     from arviz_stats.base import array_stats
 
-    for _ in range(ADAPTATIONS):
-        points, log_proposal = normal_in_box(peak, covariance, box, proposed, generator)
-        density = target(points)
-        log_weights = density - log_proposal
-        if effective_size(log_weights) < FEWEST * peak.size:
-            return None
-        finite = np.isfinite(log_weights)
-        # ArviZ weights by the inverse of a likelihood.
+    points, log_proposal = normal_in_box(peak, covariance, box, count, generator)
+    density = target(points)
+    log_weights = density - log_proposal
+    finite = np.isfinite(log_weights)
+    if np.count_nonzero(finite) <= peak.size:
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # ArviZ weights by the inverse of a likelihood; without a tail, k̂ is not a number.
         log_weights[finite], tail = array_stats.psislw(-log_weights[finite])
-        share = effective_size(log_weights) / proposed
-        if tail < LARGEST_TAIL and share > LEAST_SHARE:
-            return points, resampled(log_weights[None], count, generator)[0], share
-        try:
-            peak, covariance = _quadratic(points, density, np.exp(log_weights - log_weights.max()))
-        except np.linalg.LinAlgError:  # no variation left in some direction
-            return None
-    return None
+    return _Proposal(peak, covariance, points, density, log_weights, float(tail))
 
 
 def _quadratic(

@@ -16,7 +16,7 @@ from made_recordings import start_state
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchParameter
-from bayesbl.bench.kernel import HELD_TORQUE, RPM, SLOTS, STATES, Slot
+from bayesbl.bench.kernel import DONE, HELD_TORQUE, RPM, SLOTS, STATES, Slot, simulate
 from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, torque_ramps
 from bayesbl.bench.simulation import simulate_channels, simulate_motions, simulate_states
 from bayesbl.config.bench import reference_bench
@@ -432,6 +432,25 @@ def test_short_steps_between_ticks_heed_a_damping_faster_than_any_oscillation() 
     channels = simulate_channels(parameters[None], samples, 1.0 / 3e-4)[0]
     exact = sampled_reference(parameters, start_state(parameters), samples)
     assert np.max(np.abs(channels[1] - exact[0])) < PROMISED_RPM
+
+
+def test_between_ticks_far_from_an_edge_no_equation_is_integrated() -> None:
+    """A rotation takes fewer right-hand sides than ticks; an effect of no size takes many."""
+    parameters = reference_bench().vector(gap_rad=8e-4)[0]
+    parameters[[S.sampled_control__period_s, S.sampled_control__delay_periods]] = 2.5e-4, 1.3
+    parameters[[S.motor_coulomb_friction__torque_nm, S.load_coulomb_friction__torque_nm]] = 0.1, 5.0
+    moments = np.arange(3000) * 1e-3
+    shown, evaluations = [], []
+    for nothing in (0.0, 1e-9):
+        parameters[S.gear_mesh_friction__coefficient] = nothing
+        out = np.empty((3, moments.size))
+        run = simulate(parameters, 0.5, 1e-3, moments, 1e-3, out, np.empty(0))
+        assert run[0] == DONE
+        shown.append(out)
+        evaluations.append(run[1])
+    assert evaluations[0] < moments[-1] / 2.5e-4 < 0.1 * evaluations[1]
+    assert np.max(np.abs(shown[0][1] - shown[1][1])) < 1e-3
+    assert np.max(np.abs(shown[0][2] - shown[1][2])) < 1e-3
 
 
 @pytest.mark.long

@@ -21,6 +21,7 @@ from bayesbl.measurement.direct_route import expected_sds
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.model_search.always_in import directions, with_far_terms_freed, with_friction
 from bayesbl.model_search.pipeline import direct_unknowns
+from bayesbl.runs.kinds import check
 from bayesbl.runs.simulate import recording_csv
 
 BENCH, GAP_RAD = reference_bench(), 5e-4
@@ -91,10 +92,23 @@ def test_check_says_what_strokes_would_show(
     assert re.search(r"expected: .*±0\.00\d+ mrad at 1 mrad", checked(file, tmp_path, capsys))
 
 
+def test_check_tells_at_which_gap_it_is(tmp_path: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    check(fit_of(BEFORE, tmp_path), lambda *stage: told.append(stage))
+    stage = "Estimating the precision at some gaps"
+    assert told == [(stage, done, 3) for done in range(3)]
+
+
 def checked(
     recording: Path, folder: Path, capsys: pytest.CaptureFixture[str], low_rad: float = 0.0
 ) -> str:
     """What ``check`` prints of a fit of one recording by the direct route."""
+    assert cli.status(["check", str(fit_of(recording, folder, low_rad))]) == 0
+    return capsys.readouterr().out
+
+
+def fit_of(recording: Path, folder: Path, low_rad: float = 0.0) -> Path:
+    """A configuration that fits one recording by the direct route."""
     config = folder / "config.toml"
     config.write_text(
         f"""
@@ -113,5 +127,4 @@ name = "before"
 file = "{recording}"
 """
     )
-    assert cli.status(["check", str(config)]) == 0
-    return capsys.readouterr().out
+    return config

@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesbl.bench.bench import BenchParameter
+from bayesbl.bench.bench import BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import marginalising_motor_lines, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.predictive_check import is_explained
-from bayesbl.matching.signals import GAP
+from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.measurement.direct_route import bench_lacks
-from bayesbl.model_search.joint_change import find_changes
+from bayesbl.model_search.joint_change import blind_spots, find_changes
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sentences import sentence
@@ -240,6 +241,22 @@ def test_blind_spots_grow_where_the_current_is_missing(independent):
     gain = "speed_gain_nm_s_per_rad"
     assert errors[True][gain] > 5.0 * errors[False][gain]
     assert found.blind_spots == tuple(sorted(found.blind_spots, key=lambda s: -s.error_rad))
+
+
+def test_a_blind_spot_needs_no_negative_friction_elsewhere(independent):
+    """At one speed, dry friction looks like viscous friction, but only like what is there."""
+    coefficient = 1e-4
+    viscous = "motor_viscous_friction__coefficient_nm_s_per_rad"
+    stated = {"coefficient_nm_s_per_rad": EffectParameterValue(coefficient)}
+    bench = BENCH.with_effects(BenchEffect("motor_viscous_friction", stated))
+    truth = {"motor_viscous_friction.coefficient_nm_s_per_rad": coefficient}
+    fit = nominal_fit(independent, truth, seed=9, first=truth, bench=bench)
+    drift = Unknown(viscous, -coefficient, recording="after", added=True, reference=coefficient)
+    fit = fit_simulated(fit.model.with_unknowns(bench, [drift]), np.append(fit.point, 0.0))
+    spots = {s.name: s for s in blind_spots(fit)}
+    speed_rad_per_s = bench.value("reference_speed_rpm") * math.pi / 30.0
+    largest = (coefficient + fit.value(viscous, "after")) * speed_rad_per_s
+    assert spots["motor_coulomb_friction.torque_nm"].size < 1.1 * largest
 
 
 def test_what_is_freed_never_leaves_the_physics(independent):

@@ -225,7 +225,7 @@ def test_one_joint_of_several_in_a_file_is_chosen_by_name_with_its_unit_and_its_
     np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED * RPM_PER_RAD_PER_S)
     mixed = {
         "motor_speed_rpm": ColumnSpec("joint_2/velocity"),
-        "motor_position_rad": ColumnSpec("joint_1/position", "rad"),
+        "reference_speed_rpm": ColumnSpec("joint_1/velocity"),
     }
     with pytest.raises(RecordingError, match="not sampled together"):
         read_recording(path, columns=mixed)

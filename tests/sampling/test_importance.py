@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import kstest, truncnorm
+from scipy.stats import gamma, kstest, truncnorm
 
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import independent_draws
@@ -54,3 +54,22 @@ def test_two_modes_far_apart_are_left_to_another_sampler() -> None:
 
     generator = np.random.default_rng(7)
     assert independent_draws(density, np.zeros(1), np.eye(1), box, DRAWS, generator) is None
+
+
+def test_a_density_that_few_draws_hit_gets_more_draws() -> None:
+    """Eight factors, each far steeper on one side, so one normal draw in a hundred counts."""
+    box = np.full(8, -np.inf), np.full(8, np.inf)
+
+    def density(points: FloatArray) -> FloatArray:
+        return np.asarray(np.sum(2.0 * points - np.exp(2.0 * points), axis=1))
+
+    generator = np.random.default_rng(8)
+    found = independent_draws(
+        density, np.zeros(8), 0.3 * np.eye(8), box, DRAWS, generator, most=256_000
+    )
+    assert found is not None
+    points, chosen, _ = found
+    # exp(2 x) is exponential with mean 1
+    assert kstest(np.exp(2.0 * points[chosen]).mean(axis=1), gamma(8.0, scale=1 / 8).cdf).pvalue > (
+        FALSE_ALARM
+    )

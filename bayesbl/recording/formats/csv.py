@@ -16,6 +16,7 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -29,7 +30,7 @@ from bayesbl.recording.text_table import (
     TIMES,
     Layout,
     in_cells,
-    in_columns,
+    in_lines,
     layout_of,
     lines_of,
     middle_of,
@@ -68,10 +69,13 @@ def read(data: bytes) -> ArrayTable:
     if _is_scope_export("\n".join(head)):
         require_memory(TIMES * len(data), "cells of text")
         return _read_scope_export(list(lines_of(text)))
+    channels = in_lines(head) if len(head) < _HEAD_LINES else None
+    if channels:
+        text, head = "\n".join(channels).encode(), channels[:_HEAD_LINES]
     if (table := in_cells(text, head)) is None:
         layout = layout_of(head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
         table = table_of_text(text, layout, control)
-    return in_columns(table)
+    return replace(table, lines=None) if channels else table
 
 
 def _in_utf8(data: bytes) -> tuple[bytes, int]:

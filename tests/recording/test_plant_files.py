@@ -1,0 +1,324 @@
+"""Files as drives, historians and loggers of plants write them: read as they are meant, or asked
+about, or refused with what to do."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pytest
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.guessing import UNKNOWN, GuessedColumn, guess_columns
+from bayesbl.recording.readers import read_recording, read_table
+
+COUNT = 400
+TIME = np.arange(COUNT) / 1000.0
+NOISE = np.random.default_rng(3).normal(0.0, 1.0, COUNT)
+SPEED = np.round(1500.0 + 30.0 * np.sin(70.0 * TIME) + NOISE, 3)
+CURRENT = np.round(2.0 * np.sin(20.0 * TIME) + 0.01 * NOISE, 4)
+BEGIN = datetime.datetime(2026, 3, 14, 8, 12, 33, 800_000)
+STAMPS = [BEGIN + datetime.timedelta(milliseconds=i) for i in range(COUNT)]
+ROWS = list(enumerate(zip(TIME, SPEED, CURRENT, strict=True)))
+
+
+def lines(form: Callable[[int, float, float, float], str]) -> list[str]:
+    return [form(i, t, n, a) for i, (t, n, a) in ROWS]
+
+
+def table(*header: str, form: str = "{t:.3f},{n},{a}") -> str:
+    return "\n".join([*header, *lines(lambda i, t, n, a: form.format(i=i, t=t, n=n, a=a))])
+
+
+def dated(header: str, form: str, mark: str) -> str:
+    stamps = [stamp.strftime(form)[:-3] if "%f" in form else stamp.strftime(form)
+              for stamp in STAMPS]  # fmt: skip
+    rows = lines(lambda i, t, n, a: f"{stamps[i]}{mark}{n}{mark}{a}")
+    return "\n".join([header, *rows])
+
+
+def by_tag(header: str, form: Callable[[int, str, float], str]) -> str:
+    both = (("speed_rpm", SPEED), ("current_A", CURRENT))
+    return "\n".join([header, *(form(i, tag, v[i]) for i in range(COUNT) for tag, v in both)])
+
+
+def guessed(path: Path, joint: str | None = None) -> dict[str, GuessedColumn]:
+    return {c.channel: c for c in guess_columns(read_table(path), joint).columns}
+
+
+def written(folder: Path, content: str | bytes, name: str = "a.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+SAME = {
+    "a row of kinds above the units": table(
+        "ETASAsciiItemFile\trecord", "time\tn_mot\ti_mot", "f8\tf8\tf8", "s\trpm\tA",
+        form="{t:.3f}\t{n}\t{a}",
+    ),
+    "a row of other kinds below the units": table(
+        "Time;Speed;Current", "s;rpm;A", "LREAL;REAL;LREAL", form="{t:.3f};{n};{a}"
+    ),
+    "a row of sources above the units": table(
+        "Time;Speed;Current", "Clock;Drive1;Drive1", "s;rpm;A", form="{t:.3f};{n};{a}"
+    ),
+    "brackets of full width": table("时间（ms）,电机转速（rpm）,电流（A）", form="{i},{n},{a}"),
+    "seconds and microseconds": "\n".join(
+        [
+            "tv_sec,tv_usec,speed_rpm,current_A",
+            *lines(lambda i, t, n, a: f"{177 + (i + 800) // 1000},{(i + 800) % 1000}000,{n},{a}"),
+        ]
+    ),
+    "minutes and seconds": table("Time,Speed [rpm],I [A]", form="00:{t:06.3f},{n},{a}"),
+    "@": dated("Time|speed_rpm|current_A", "%b %d, %Y @ %H:%M:%S.%f", "|"),
+    "a date of IEC 61131": dated("Time;speed_rpm;current_A", "DTL#%Y-%m-%d-%H:%M:%S.%f", ";"),
+    "newest first": "\n".join(
+        ["Time,speed_rpm,current_A", *reversed(lines(lambda i, t, n, a: f"{STAMPS[i]},{n},{a}"))]
+    ),
+    "Kepware": by_tag(
+        "_NAME,_NUMERICID,_VALUE,_TIMESTAMP,_QUALITY",
+        lambda i, tag, value: f"{tag},0,{value},{STAMPS[i]},192",
+    ),
+    "milliseconds beside dates": by_tag(
+        "Date;Time;Millitm;Tagname;Value",
+        lambda i, tag, v: f"{STAMPS[i]:%m/%d/%Y;%H:%M:%S};{(800 + i) % 1000};{tag};{v}",
+    ),
+    "a column for each kind of number": by_tag(
+        "tag,intvalue,floatvalue,t_stamp", lambda i, tag, value: f"{tag},,{value},{STAMPS[i]}"
+    ),
+    "a line for each channel": "\n".join(
+        ";".join([name, unit, *map(repr, map(float, values))])
+        for name, unit, values in (
+            ("Time", "s", TIME),
+            ("Motor speed", "rpm", SPEED),
+            ("Motor current", "A", CURRENT),
+        )
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", SAME)
+def test_every_form_holds_the_same_samples(kind: str, tmp_path: Path) -> None:
+    path = written(tmp_path, SAME[kind])
+    found = guessed(path)
+    assert not any(c.is_open or c.doubted for c in found.values())
+    read = read_recording(path, columns={k: ColumnSpec(c.name, c.unit) for k, c in found.items()})
+    np.testing.assert_allclose(read.time_s - read.time_s[0], TIME, atol=2e-6)
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED)
+    np.testing.assert_allclose(read.channels["motor_current_a"], CURRENT)
+
+
+@pytest.mark.parametrize("suffix", ["json", "jsonl", "xlsx"])
+def test_a_value_a_line_is_a_column_for_each_name_in_every_format(
+    suffix: str, tmp_path: Path
+) -> None:
+    keys = ("topic", "ts", "payload")
+    both = (("speed_rpm", SPEED), ("current_A", CURRENT))
+    rows = [(tag, 1773475953250 + i, float(v[i])) for i in range(COUNT) for tag, v in both]
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "xlsx":
+        book = openpyxl.Workbook()
+        for row in (keys, *rows):
+            book.active.append(list(row))
+        book.save(path)
+    else:
+        records = [dict(zip(keys, row, strict=True)) for row in rows]
+        text = "\n".join(map(json.dumps, records)) if suffix == "jsonl" else json.dumps(records)
+        path.write_text(text)
+    found = guessed(path)
+    assert {k: c.name for k, c in found.items()} == {
+        "time_s": "ts",
+        "motor_speed_rpm": "speed_rpm",
+        "motor_current_a": "current_A",
+    }
+    np.testing.assert_array_equal(read_table(path).arrays["current_A"], CURRENT)
+
+
+# Clocks
+
+
+@pytest.mark.parametrize(
+    ("above", "step_s"),
+    [
+        ('"Sampling Time","0.0625","ms"', 6.25e-5),
+        ("Sampling period,250,us", 2.5e-4),
+        ("Sampling rate,8,kHz", 1.25e-4),
+    ],
+)
+def test_the_unit_of_a_step_may_have_a_cell_of_its_own(
+    above: str, step_s: float, tmp_path: Path
+) -> None:
+    path = written(tmp_path, table(above, "Speed [rpm],Current [A]", form="{n},{a}"))
+    read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("Speed [rpm]")})
+    assert read.sampling_period_s == pytest.approx(step_s)
+
+
+@pytest.mark.parametrize(
+    "above", ["Recording time,2999 ms", "Trace time [ms],3000", "Sampling time,0.5,ms/div"]
+)
+def test_the_length_of_a_recording_is_no_step(above: str, tmp_path: Path) -> None:
+    path = written(tmp_path, table(above, "No.,Speed [rpm],Current [A]", form="{i},{n},{a}"))
+    time = guessed(path)["time_s"]
+    assert (time.name, time.unit) == ("No.", UNKNOWN)
+
+
+def test_segments_of_a_file_without_times_are_not_joined(tmp_path: Path) -> None:
+    head = ["Channels\t2\t\t", "Samples\t400\t400\t", "Y_Unit_Label\trpm\tA\t",
+            "Delta_X\t0.001\t0.001\t", "***End_of_Header***\t\t\t",
+            "X_Value\tSpeed\tCurrent\tComment"]  # fmt: skip
+    part = table(*head, form="\t{n}\t{a}")
+    path = written(tmp_path, "\n\n".join(["LabVIEW Measurement\t", *[part] * 3]), "a.lvm")
+    with pytest.raises(RecordingError, match="another header among the samples"):
+        read_table(path)
+
+
+# Channels and units
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "Absolute current actual value",
+        "Stromistwert Betrag",
+        "Input current",
+        "Zwischenkreisstrom",
+        "Bremsstrom",
+        "Reactive current",
+    ],
+)
+def test_a_current_without_its_sign_or_of_another_part_is_not_taken(
+    name: str, tmp_path: Path
+) -> None:
+    path = written(tmp_path, table(f"Time [s],Speed [rpm],{name} [A]"))
+    assert set(guessed(path)) == {"time_s", "motor_speed_rpm"}
+
+
+@pytest.mark.parametrize(
+    ("speed", "current"),
+    [("Axis1 speed", "Axis2 current"), ("Drive_A.Velocity", "Drive_B.Current"), ("J1 n", "J2 iq")],
+)
+def test_the_only_current_may_be_of_another_axis(speed: str, current: str, tmp_path: Path) -> None:
+    path = written(tmp_path, table(f"Time [s],{speed} [rpm],{current} [A]"))
+    assert set(guessed(path)) == {"time_s", "motor_speed_rpm"}
+    same = current.replace("2", "1").replace("B", "A")
+    path = written(tmp_path, table(f"Time [s],{speed} [rpm],{same} [A]"))
+    assert guessed(path)["motor_current_a"].name == f"{same} [A]"
+
+
+@pytest.mark.parametrize(
+    "name", ["Disturbance torque", "Störmoment", "Friction torque", "Holding torque"]
+)
+def test_a_torque_that_does_not_drive_is_not_taken(name: str, tmp_path: Path) -> None:
+    path = written(tmp_path, table(f"Time [s],Speed [rpm],{name} [Nm]"))
+    assert set(guessed(path)) == {"time_s", "motor_speed_rpm"}
+    path = written(tmp_path, table("Time [s],Speed [rpm],Input torque [Nm]"))
+    assert "motor_torque_nm" in guessed(path)  # of a gear is the motor's
+
+
+@pytest.mark.parametrize(
+    ("name", "is_doubted"),
+    [
+        ("PSU current [A]", True),
+        ("RMS current [A]", True),
+        ("elbow current [Arms]", False),
+        ("Torque sensor [Nm]", True),
+        ("Torque-generating current actual value [A]", False),
+        ("elbow current [A]", False),
+        ("Corrente [A]", False),
+    ],
+)
+def test_a_word_more_in_a_name_is_a_question(name: str, is_doubted: bool, tmp_path: Path) -> None:
+    path = written(tmp_path, table(f"Time [s],elbow speed [rpm],{name}"))
+    *_, driven = guessed(path).values()
+    assert (driven.name, driven.doubted) == (name, is_doubted)
+
+
+@pytest.mark.parametrize(
+    ("asked", "measured"),
+    [
+        ("Consigna de velocidad", "Velocidad real"),
+        ("Velocità di riferimento", "Velocità motore"),
+        ("Profile velocity", "Velocity"),
+        ("Fan speed", "Velocity actual"),
+        ("Börvärde varvtal", "Ärvärde varvtal"),
+    ],
+)
+def test_a_measured_speed_goes_before_one_that_never_changes_or_is_another(
+    asked: str, measured: str, tmp_path: Path
+) -> None:
+    path = written(
+        tmp_path, table(f"t [s],{asked} [rpm],{measured} [rpm]", form="{t:.3f},1500,{n}")
+    )
+    speed = guessed(path)["motor_speed_rpm"]
+    assert (speed.name, speed.doubted) == (f"{measured} [rpm]", False)
+
+
+def test_columns_about_a_tag_are_no_speeds(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        table(
+            "Speed_NUMERICID,Speed_VALUE,Speed_TIMESTAMP,Speed_QUALITY", form="7,{n},{t:.3f},192"
+        ),
+    )
+    assert guessed(path)["motor_speed_rpm"].name == "Speed_VALUE"
+
+
+def test_a_factor_is_a_question_whatever_offset_follows_it(tmp_path: Path) -> None:
+    head = ("Signal;Time;N_ACT;I_ACT", "Unit;ms;1/min;A", "Factor;1;0,1;1", "Offset;0;0;0.000E+00")
+    path = written(tmp_path, table(*head, form=";{i};{n};{a}"))
+    found = guessed(path)
+    assert found["motor_speed_rpm"].is_open
+    assert '"1/min (scale 0,1)"' in found["motor_speed_rpm"].reason
+    assert found["motor_current_a"].unit == "A"
+
+
+def in_per_cent(path: Path) -> Path:
+    book = openpyxl.Workbook()
+    book.active.append(["time_s", "motor_speed_rpm", "torque"])
+    for t, n, a in zip(TIME, SPEED, CURRENT, strict=True):
+        book.active.append([float(t), float(n), float(a)])
+        book.active.cell(book.active.max_row, 3).number_format = "0 %"
+    book.save(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["xlsx", "csv"])
+def test_a_share_is_of_something(suffix: str, tmp_path: Path) -> None:
+    if suffix == "xlsx":
+        path = in_per_cent(tmp_path / "a.xlsx")
+    else:
+        rows = lines(lambda i, t, n, a: f"{t},{n},{100.0 * a:.2f}")
+        head = ["time_s,motor_speed_rpm,torque", "s,rpm,%"]
+        path = written(tmp_path, "\n".join([*head, *rows]))
+    for unit in ("N m", "1 N m", "12 N m"):
+        with pytest.raises(RecordingError, match=r"different units.*% of 12\.5 N m"):
+            read_recording(path, columns={"motor_torque_nm": ColumnSpec("torque", unit)})
+    read = read_recording(path, columns={"motor_torque_nm": ColumnSpec("torque", "% of 12 N m")})
+    np.testing.assert_allclose(read.channels["motor_torque_nm"], 12.0 * CURRENT, atol=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "agrees"), [("V", False), ("deg", False), ("об/мин", True)])
+def test_a_plain_unit_does_not_go_over_one_of_another_quantity(
+    unit: str, agrees: bool, tmp_path: Path
+) -> None:
+    path = written(tmp_path, table("time_s,n,i", f"s,{unit},A"))
+    columns = {"motor_speed_rpm": ColumnSpec("n", "rpm")}
+    if not agrees:
+        with pytest.raises(RecordingError, match=r'different units.*"1 rpm" if the file is wrong'):
+            read_recording(path, columns=columns)
+        columns = {"motor_speed_rpm": ColumnSpec("n", "1 rpm")}
+    np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
+
+
+def test_what_a_historian_writes_for_no_value_is_a_lost_sample(tmp_path: Path) -> None:
+    values: Sequence[object] = [*SPEED[:200], "Bad Input", *SPEED[201:]]
+    rows = [f"J2.SPEED,{STAMPS[i]},{value}" for i, value in enumerate(values)]
+    path = written(tmp_path, "\n".join(["Tag,Timestamp,Value", *rows]))
+    read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("J2.SPEED", "rpm")})
+    np.testing.assert_allclose(read.motor_speed_rpm[:200], SPEED[:200])
