@@ -220,6 +220,9 @@ def test_a_complete_bench_has_no_skew_at_a_high_cut_off(seed: int) -> None:
     assert "channel_time_skew" not in {e.name for e in found.effects}
 
 
+@pytest.mark.xfail(
+    reason="a spring, always in, takes a part; a wrong inertia is stated for the rest"
+)
 def test_an_inertia_that_nothing_has_leaves_nothing_named() -> None:
     """A spring that the bench lacks: at one frequency it goes with −α."""
     bench = believed(drawn_axis(np.random.default_rng(1)))
@@ -231,11 +234,10 @@ def test_an_inertia_that_nothing_has_leaves_nothing_named() -> None:
     }
     made = replace(made, laws=plain)
     found = answer(made)
-    if found.verdict == "unexplained":
-        assert any("which nothing has" in note for note in found.notes)
-        assert not found.effects
-    # A spring is always in, and may explain it.
+    assert found.verdict == "unexplained"
+    assert not found.effects
     assert not found.parameter_errors
+    assert any("which nothing has" in note for note in found.notes)
 
 
 def test_the_size_of_an_eccentric_encoder_is_that_on_the_bench_as_fitted() -> None:
