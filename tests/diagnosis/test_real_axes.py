@@ -220,9 +220,7 @@ def test_a_complete_bench_has_no_skew_at_a_high_cut_off(seed: int) -> None:
     assert "channel_time_skew" not in {e.name for e in found.effects}
 
 
-@pytest.mark.xfail(
-    reason="a spring, always in, takes a part; a wrong inertia is stated for the rest"
-)
+@pytest.mark.xfail(reason="a spring takes a part; the rest is a wrong inertia")
 def test_an_inertia_that_nothing_has_leaves_nothing_named() -> None:
     """A spring that the bench lacks: at one frequency it goes with −α."""
     bench = believed(drawn_axis(np.random.default_rng(1)))
