@@ -535,12 +535,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "gap_shrank": f"The gap shrank, which wear cannot cause. {UNLESS_REPAIRED}",
     # Of ramps of torque.
     "ramps_held": (
-        "The ramps of {skipped_nm:?{skipped_nm:±.3g} N m hardly move the joint, and those of |}"
-        "±{amplitude_nm:.3g} N m alone do not show {skipped_nm:?how much of the angle that they "
-        "leave is wind-up held by friction. Add ramps to about {needed_nm:.2g} N m.|the play: the "
-        "angle that they leave may be wind-up held by friction or a preload. Add ramps to at least "
-        "{needed_nm:.2g} N m if the gear is rated for it. If these ramps are already far above the "
-        "friction, add small ones to about twice the friction ({friction_nm:.2g} N m) instead.}"
+        "The ramps of ±{amplitude_nm:.3g} N m, with a friction of {friction_nm:.2g} N m, do not "
+        "show the play: the angle that they leave may be wind-up held by friction or a preload. "
+        "Add ramps to at least {needed_nm:.2g} N m if the gear is rated for it."
     ),
     "no_play": (
         "These ramps show no play: the joint is stiffer around zero torque than at larger torque "
@@ -550,17 +547,12 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "mrad} wide at zero torque, because friction holds the joint wound up; δ is at most half "
         "of that."
     ),
-    "play_unsure": (
-        "There may be no play (probability of play {probability:.0f %}): around zero torque the "
-        "joint is {relative_compliance:.2g} times as soft as at larger torque, but this differs "
-        "between positions. The interval of δ allows for zero play."
-    ),
     "soft_flanks": (
-        "Around zero torque the joint is {relative_compliance:.2g} times as soft as at larger "
-        "torque. Flanks that are soft at small torque, as in a strain wave gear, look like play, "
-        "and the probability of play ignores them: flanks {times:.0f} times as soft, which is "
-        "common, would explain {share:>1 all of δ, without any play|{share:.0f %} of δ, and more "
-        "if softer}. That part is lost motion."
+        "{probability:>0.95 Around|There may be no play (probability of play {probability:.0f %}): "
+        "around} zero torque the joint is {relative_compliance:.2g} times as soft as at larger "
+        "torque. Flanks that are soft at small torque, as in a strain wave gear, look like play: "
+        "flanks {times:.0f} times as soft, which is common, would explain {share:>1 all of δ, "
+        "without any play|{share:.0f %} of δ, and more if softer}. That part is lost motion."
     ),
     "ramps_skipped": (
         "The ramps of {skipped_nm:±.3g} N m hardly move the joint, because friction holds it; "

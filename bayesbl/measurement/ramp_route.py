@@ -1,8 +1,8 @@
 """The torque-ramp route: the gap from ramps of the motor's torque with the output held.
 
 δ is half of the play. The play is the distance, at zero torque, between the positions at which
-small ramps leave the joint on either flank, less the unknown part that is compliance held by
-friction. See ``docs/design.md``, "Torque ramps".
+ramps leave the joint on either flank, less the unknown part that is compliance held by friction.
+See ``docs/design.md``, "Torque ramps".
 
 The width between the flanks consists of the dead zone and the compliance that friction holds. If
 that compliance changed from the first recording to the last, the width changes without wear.
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri, stdtr
@@ -41,6 +41,7 @@ from bayesbl.measurement.summary_types import RampsSummary
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
 from bayesbl.ramps.flanks import (
+    HELD,
     Flanks,
     find_flanks,
     lifting_torque,
@@ -56,15 +57,6 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
 from bayesbl.results.variables import Group, columns, table
 
-HELD = 4.0
-"""Held compliance beyond the dead zone, as a multiple of ``held_windup_rad``, at most.
-
-Flanks are softer at small torque than where their compliance is read: by a factor of 2.4 at the
-median of the gearboxes of ``configs/torque_ramps_study.toml``, and by about 3 or less in three of
-four (``held_ratio_3_of_4`` of its table). The step from 3 to 4 is a judgement. The factor is drawn
-uniformly.
-"""
-
 UNREACHED = 0.5
 """Share of the width by which small ramps may understate the play, at most.
 
@@ -78,6 +70,9 @@ CHANGED_SD = 2.0
 
 ROUNDING = float(np.finfo(float).eps)
 """Rounding of a logarithm, so that changes without scatter have a finite size too."""
+
+LOG_FINITE = 0.5 * float(np.log(np.finfo(float).max)) - 10.0
+"""Logarithm whose square is finite: Student's t of two files goes farther."""
 
 COMPARED = {
     "compliance_rad_per_nm": ("compliance", "rad/N m"),
@@ -153,9 +148,6 @@ of the ramps if that is not known."""
 
 GOOD_PART = 0.5
 """Share of the gap that soft flanks may cause, from which the reader is told."""
-
-UNSURE = 0.05
-"""Probability of play, and of no play, above which both are reported as possible."""
 
 PRELOAD = "preload_torque_nm"
 
@@ -258,6 +250,10 @@ class RampMeasurer(Measurer):
             **described(of_cycles, flanks, width, generator),
         }
         gap = draws["delta_rad"] = gap_draws(flanks, draws, shares, generator)
+        # Flanks may be soft enough at small torque to be the whole width.
+        is_play = HELD * shares[0] * draws["held_windup_rad"] < 0.5 * width
+        sure = flanks.probability_of_play * float(np.mean(is_play))
+        flanks = replace(flanks, probability_of_play=sure)
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
         reasons = [*against(flanks), *sampling_reasons(play.diagnostics)]
@@ -276,7 +272,7 @@ class RampMeasurer(Measurer):
             groups,
             {
                 **numbers,
-                "preloaded": flanks.probability_of_play <= 0.5 and not withheld,
+                "preloaded": flanks.finding == "preloaded",
                 "ramps": _ramps(flanks),
                 "noise": shared.no_speed_noise("repeated"),
             },
@@ -354,16 +350,15 @@ def notes_on(
             "width_rad": float(np.median(draws["width_rad"])) * without_play(flanks, draws),
         }
         yield Reason("no_play", values)
-    if UNSURE < flanks.probability_of_play < 1.0 - UNSURE:
-        values = {"probability": flanks.probability_of_play, "relative_compliance": relative}
-        yield Reason("play_unsure", values)
     soft = HELD / relative
     if flanks.finding == "play" and soft > GOOD_PART:
-        yield Reason("soft_flanks", {"relative_compliance": relative, "times": HELD, "share": soft})
+        values = {"probability": flanks.probability_of_play, "relative_compliance": relative}
+        yield Reason("soft_flanks", {**values, "times": HELD, "share": soft})
     if flanks.skipped_nm and flanks.answered:
         skipped = {"skipped_nm": list(flanks.skipped_nm), "amplitude_nm": level.amplitude_nm}
         yield Reason("ramps_skipped", skipped)
-    moved = [file.offset_nm for file in files if file.offset_nm]
+    # Less than the friction leaves the joint where it is.
+    moved = [o for o in (file.offset_nm for file in files) if abs(o) > level.friction_nm]
     if moved:
         yield Reason("torque_offset", {"low_nm": min(moved), "high_nm": max(moved)})
     if any(file.turned for file in files):
@@ -422,14 +417,7 @@ def of_every_cycle(flanks: Flanks, stated_nm: float) -> dict[str, list[FloatArra
     These are lost motion at ±``stated_nm`` N m, stiffness, compliance, friction, and the wind-up
     that friction holds.
     """
-    level, largest = flanks.level, flanks.largest
-    width = float(np.mean([c.width_rad for c in level.cycles]))
-    # Ramps that hardly exceed the friction do not show the compliance.
-    flank_rad = max(largest.range_rad - width, 0.0)
-    elastic_range_nm = 2.0 * (largest.amplitude_nm - level.friction_nm)
-    compliance = (
-        flank_rad / elastic_range_nm if largest is not level and elastic_range_nm > 0.0 else 0.0
-    )
+    level, largest, width = flanks.level, flanks.largest, flanks.level.width_rad
     return {
         "lost_motion_rad": of_cycles(largest, lambda c: lost_motion(c, stated_nm)),
         "stiffness_nm_per_rad": of_cycles(largest, stiffness),
@@ -437,9 +425,7 @@ def of_every_cycle(flanks: Flanks, stated_nm: float) -> dict[str, list[FloatArra
             largest, lambda c: max(c.range_rad - width, 0.0) / (2.0 * c.amplitude_nm)
         ),
         "friction_torque_nm": of_cycles(level, lambda c: c.friction_nm),
-        "held_windup_rad": of_cycles(
-            level, lambda c: 0.5 * min(c.elastic_nm * compliance, max(c.width_rad, 0.0))
-        ),
+        "held_windup_rad": [0.5 * np.minimum(w, width) for w in flanks.windup_rad if w.size],
     }
 
 
@@ -491,9 +477,6 @@ def described(
     """
     shape = width.shape
     draws = {name: _mean_draws(by_file, shape, generator) for name, by_file in of_cycles.items()}
-    if flanks.largest is flanks.level:
-        # Held compliance is unknown: anything up to the whole width.
-        draws["held_windup_rad"] = 0.5 * width * generator.uniform(size=shape)
     draws[PRELOAD] = np.zeros(shape)
     if flanks.finding == "preloaded":
         lifting_nm = lifting_torque(flanks.largest)
@@ -515,7 +498,7 @@ def _mean_draws(
     if transformed.size > 1:
         error = transformed.std(ddof=1) / np.sqrt(transformed.size)
         drawn = drawn + error * generator.standard_t(transformed.size - 1, size=shape)
-    return np.exp(drawn) if positive else drawn
+    return np.exp(np.clip(drawn, -LOG_FINITE, LOG_FINITE)) if positive else drawn
 
 
 def _budget(flanks: Flanks, width: FloatArray, delta: FloatArray) -> dict[str, float]:
@@ -555,7 +538,7 @@ POSTERIOR = Group(
                 | position over torque by least squares along the largest ramps, both sides
             friction_torque_nm! (chain, draw) | N m | friction over the range of the ramps
             held_windup_rad! (chain, draw) | rad
-                | wind-up held by friction, in half the width, if no flank is soft at small torque
+                | wind-up held by friction, in half the width, by the compliance behind the play
             preload_torque_nm! (chain, draw) | N m
                 | torque at which a preloaded joint's flank lifts; 0 with play, NaN where not seen
         """),
@@ -583,8 +566,8 @@ CYCLES = Group(
         elastic_nm (cycle) | N m | torque without friction between the positions left
         friction_nm (cycle) | N m | half the mean height of the loop
         used (cycle) | 1 | whether the width counts (1): the smallest ramps that reach both flanks
-        relative_compliance! | 1 | compliance between the positions left, over that of larger ramps
-        probability_of_play! | 1 | probability that this ratio is above one
+        relative_compliance! | 1 | compliance between the positions left, over that behind them
+        probability_of_play! | 1 | probability that softer flanks are not the whole width
         lost_motion_torque_nm! | N m | torque, both ways, at which lost motion is stated
     """),
 )

@@ -641,7 +641,7 @@ def _of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]
             yield (
                 f"About {words.significant(1e3 * held)} mrad of half the width{words.of(name)} may "
                 "be wind-up that friction holds at zero torque, or more if the flanks are softer "
-                "at small torque. It was subtracted from the gap as an unknown share."
+                "at small torque. From 0 to 4 times as much was subtracted from the gap."
             )
 
 

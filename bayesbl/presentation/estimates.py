@@ -23,8 +23,9 @@ BOUND_EXPLAINED = (
 
 RELATIVE_EXPLAINED = (
     "Relative compliance: the compliance between the positions that ramps leave at zero torque, "
-    "over that of larger ramps. With play it is above 1, because the joint crosses the play at "
-    "nearly no torque; with preload it is below 1, because both flanks carry the torque there."
+    "over that behind them. With play it is above 1, because the joint crosses the play at nearly "
+    "no torque; with preload it is below 1, because both flanks carry the torque there. Soft "
+    "flanks without play have up to 4."
 )
 
 CHECK_EXPLAINED = (
@@ -178,8 +179,8 @@ def _of_ramps(part: RouteSummary) -> Iterator[Block]:
     relative = part["relative_compliance"]
     shown = "not known, without larger ramps" if relative is None else words.significant(relative)
     sure = words.probability(part["probability_of_play"])
-    compliance = f"{shown}; probability that it is above 1: {sure}"
-    yield from labelled({"Relative compliance": compliance, "Sampling": words.sampling(part)})
+    lines = {"Relative compliance": f"{shown}; probability of play: {sure}"}
+    yield from labelled({**lines, "Sampling": words.sampling(part)})
     yield aside(RELATIVE_EXPLAINED)
 
 

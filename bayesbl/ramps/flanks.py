@@ -3,8 +3,8 @@
 A joint with play is softest around zero torque, as it crosses the play there at nearly no torque.
 A preloaded one is stiffer there than beyond, as both flanks carry it; one that is neither is as
 stiff there as elsewhere. So the compliance between the positions that small ramps leave is held
-against that of larger ones: just beyond the small ones, as flanks harden, and over all, as a
-preload may reach beyond them.
+against the compliance behind it, at once and a half the friction, and over all, as a preload may
+reach beyond. Ramps of one size show both.
 
 One flank of a preloaded joint lifts at some torque. Up to it both flanks carry the joint, beyond it
 one alone: of linear flanks the compliance doubles there. Friction lifts one branch of the loop by
@@ -29,14 +29,17 @@ from scipy.special import stdtr
 from bayesbl.ramps.torque_cycles import Cycle, Ramps
 from bayesbl.recording.types import FloatArray
 
+HELD = 4.0
+"""Wind-up that ramps leave, as a multiple of what the compliance behind the play would leave, at
+most. The factor is drawn uniformly from 0 on.
+
+Flanks are softer at small torque: if a flank's wind-up is a power p of the torque, 1/(2^p − 1)
+times from the friction on, which is 1 for a linear flank, 1.7 for Hertz's contact of points, and
+3.8 for p = 1/3. What friction varies from place to place leaves between 0 and 1.
+"""
+
 SAME_LEVEL = 1.5
 """Times the smallest of a level, from which ramps are of another."""
-
-BEYOND = 3.0
-"""Times their amplitude: just beyond small ramps is from one to that."""
-
-LARGER = 2.0
-"""Times the amplitude from which larger ramps tell how stiff the loaded joint is."""
 
 STUCK = 0.25
 """Relative compliance below which the friction holds the joint, whatever its flanks do.
@@ -54,8 +57,15 @@ positions left is a ratio of two numbers near zero. By Dahl's law ramps to half 
 leave 0.26 of their range; a preloaded joint leaves half at three times the friction.
 """
 
-LARGEST_NEXT, BEYOND_STUCK = 3.0, 2.5
-"""Times the largest ramps, and those that friction held: what to record next."""
+TIMES_FRICTION = 4.0
+"""Times the friction, to which the largest ramps go at least: up to twice the friction behind the
+play, both ways then slide, as a turn takes twice the friction."""
+
+LARGEST_NEXT = 3.0
+"""Times the largest ramps: what to record next."""
+
+LEAST_WINDUP = 1e-6
+"""Of the width: ramps with less friction than noise leave no measurable wind-up."""
 
 FEWEST_STEPS = 5.0
 """Of the encoder, that ramps must move the joint by: the width of fewer is rounding."""
@@ -103,17 +113,9 @@ class Level:
         return float(np.mean([c.range_rad for c in self.cycles]))
 
     @property
-    def compliance_between(self) -> float:
-        """Between the positions left, rad per N m without friction."""
-        elastic = sum(c.elastic_nm for c in self.cycles)
-        width = sum(c.width_rad for c in self.cycles)
-        return width / elastic if elastic > 0.0 else np.inf
-
-    @property
-    def compliance_over_all(self) -> float:
-        """Range over the torque that is left of the ramps behind the friction, rad per N m."""
-        beyond = self.amplitude_nm - self.friction_nm
-        return self.range_rad / (2.0 * beyond) if beyond > 0.0 else np.inf
+    def elastic_nm(self) -> float:
+        """Between the positions left, without friction, mean over all cycles."""
+        return float(np.mean([c.elastic_nm for c in self.cycles]))
 
     @property
     def middle_rad(self) -> float:
@@ -159,9 +161,11 @@ class Flanks:
         Torque that ramps should reach where they are too small.
     left_by_larger
         Widest that larger ramps leave over what these do; one where they leave less.
+    windup_rad
+        Of every large cycle, by file: what friction would hold between the positions left if the
+        compliance there were that behind them.
     relative_compliance
-        Between the positions left over that of larger ramps: above one with play. NaN without
-        larger ramps.
+        The width over that: above one with play. NaN without an answer.
     probability_of_play
         That it is above one, by its scatter round the turn (by that of cycles, of one file).
     """
@@ -172,6 +176,7 @@ class Flanks:
     skipped_nm: tuple[float, ...] = ()
     needed_nm: float = 0.0
     left_by_larger: float = 1.0
+    windup_rad: tuple[FloatArray, ...] = ()
     relative_compliance: float = np.nan
     probability_of_play: float = 1.0
 
@@ -217,14 +222,19 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks |
         return None
     largest = levels[-1]
     skipped: list[float] = []
+    windups = [_windup(level, largest) for level in levels]
+    means = [float(np.concatenate(windup).mean()) for windup in windups]
+    least_play = [level.width_rad - HELD * mean for level, mean in zip(levels, means, strict=True)]
     for number, level in enumerate(levels):
-        if largest.amplitude_nm < LARGER * level.amplitude_nm:
+        if largest.amplitude_nm < TIMES_FRICTION * largest.friction_nm:
             break
         widest = max(larger.width_rad for larger in levels[number:])
-        moved = level.compliance_between >= STUCK * largest.compliance_over_all
+        reaches = level.width_rad >= max(least_play[number:])
+        moved = level.width_rad >= STUCK * means[number]
         separates = level.width_rad > LEFT_STUCK * min(widest, level.range_rad)
-        if separates and moved and level.range_rad >= FEWEST_STEPS * resolution_rad:
-            relative = _log_relative(level, largest)
+        is_seen = level.range_rad >= FEWEST_STEPS * resolution_rad
+        if separates and moved and reaches and is_seen:
+            relative = _log_relative(level, windups[number])
             probability = _probability_positive(relative)
             return Flanks(
                 "play" if probability > 0.5 else "preloaded",
@@ -232,40 +242,52 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks |
                 largest,
                 tuple(skipped),
                 left_by_larger=widest / level.width_rad,
+                windup_rad=tuple(windups[number]),
                 relative_compliance=float(np.exp(relative.mean())),
                 probability_of_play=probability,
             )
         skipped.append(level.amplitude_nm)
-    # Nothing larger tells whether friction or a preload holds the joint, or how far it bends.
-    needed = LARGEST_NEXT * largest.amplitude_nm
-    if skipped:
-        small = max(2.0 * largest.friction_nm, BEYOND_STUCK * skipped[-1])
-        needed = small if LARGER * small < largest.amplitude_nm else needed
-    return Flanks("too_small", largest, largest, tuple(skipped), needed)
+    needed, widths = LARGEST_NEXT * largest.amplitude_nm, of_cycles(largest, lambda c: c.width_rad)
+    return Flanks("too_small", largest, largest, tuple(skipped), needed, windup_rad=tuple(widths))
 
 
-def _log_relative(level: Level, largest: Level) -> FloatArray:
-    """ln of the relative compliance, by file with both kinds of ramps; of one file by cycle.
+def _windup(level: Level, largest: Level) -> list[FloatArray]:
+    """Behind the play, over the torque between the positions left: by file and large cycle, rad.
 
-    Where no file has both, that of all together, once.
+    By the largest compliance from e to 2e, e from the friction on: a preload may reach beyond it.
+    Below, e is not known: friction varies by a share of itself from place to place, and the torque
+    may rise while the joint crosses the play.
     """
-    small = level.amplitude_nm
-    high = min(BEYOND * small, 0.9 * largest.amplitude_nm)
-    logs: list[FloatArray] = []
-    for cycles, larger in zip(level.files, largest.files, strict=True):
-        if not (cycles and larger):
-            continue
-        slopes = [
-            abs(lost_motion(c, high) - lost_motion(c, small)) / (2.0 * (high - small))
-            for c in larger
-        ]
-        over_all = Level((larger,)).compliance_over_all
-        reference = max(float(np.mean(slopes)), over_all)
-        own = np.array([max(c.width_rad, 0.0) / c.elastic_nm for c in cycles if c.elastic_nm])
-        if own.size and reference > 0.0:
-            logs.append(np.log(np.maximum(own / reference, 1e-6)))
+    elastic, width = max(level.elastic_nm, 0.0), level.width_rad
+
+    def windup(c: Cycle) -> float:
+        place, *ways = _branches(c)
+        low, high = sorted((c.first.left_rad, c.last.left_rad))
+        height = np.abs(ways[1] - ways[0])[(place >= low) & (place <= high)]
+        between = 0.5 * float(height.mean()) if height.size else 0.0
+        friction = max(between, c.friction_nm, SMALLEST * c.amplitude_nm)
+        torque = np.geomspace(friction, max(_most(c), friction), TRIED)
+        rise = _width(c, 2.0 * torque) - _width(c, torque)
+        return max(0.5 * elastic * float(np.max(rise / torque)), LEAST_WINDUP * width)
+
+    return [np.array([windup(c) for c in file]) for file in largest.files]
+
+
+def _most(cycle: Cycle) -> float:
+    """Half of the torque at which both ways still slide: nearer to the turn, one sticks."""
+    return 0.5 * (cycle.amplitude_nm - 2.0 * cycle.friction_nm)
+
+
+def _log_relative(level: Level, windup: Sequence[FloatArray]) -> FloatArray:
+    """ln of the width over the wind-up behind it, by file with both kinds of ramps; of one file by
+    cycle. Where no file has both, that of all together, once."""
+    logs = [
+        np.log([max(c.width_rad / behind.mean(), LEAST_WINDUP) for c in cycles])
+        for cycles, behind in zip(level.files, windup, strict=True)
+        if cycles and behind.size
+    ]
     if not logs:
-        return np.array([np.log(level.compliance_between / largest.compliance_over_all)])
+        return np.log([level.width_rad / np.concatenate(windup).mean()])
     return observations(logs)
 
 
@@ -318,8 +340,7 @@ def lifting_torque(largest: Level) -> list[FloatArray]:
 
 def _lifts(cycle: Cycle) -> float:
     """NaN where the compliance does not rise, or farther up than the ramps show."""
-    # Nearer to the turn the way back is not that of the sliding joint.
-    most = 0.5 * (cycle.amplitude_nm - 2.0 * cycle.friction_nm)
+    most = _most(cycle)
     if most <= SMALLEST * cycle.amplitude_nm:
         return np.nan
     elastic = np.geomspace(SMALLEST * cycle.amplitude_nm, most, TRIED)
@@ -332,8 +353,8 @@ def _lifts(cycle: Cycle) -> float:
     return float(elastic[top]) if is_visible else np.nan
 
 
-def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
-    """Between the positions at ± each torque without friction, rad, same shape."""
+def _branches(cycle: Cycle) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions in equal steps, rad, and the torque of both ways there, N m, same shape."""
     torque, position = cycle.torque_nm, cycle.position_rad
     first, last = cycle.first, cycle.last
     leaves, arrives = first.top, last.top
@@ -341,11 +362,17 @@ def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
     way = np.arange(leaves, arrives + 1)
     other = np.concatenate((np.arange(arrives, last.back + 1), np.arange(first.begin, leaves + 1)))
     place = np.linspace(low, high, way.size)
-    branches = [
+    there, back = (
         # Torque at each place, of a path that goes to larger side · position.
         np.interp(side * place, np.maximum.accumulate(side * position[path]), torque[path])
         for side, path in ((last.side, way), (first.side, other))
-    ]
-    elastic = np.maximum.accumulate(0.5 * (branches[0] + branches[1]))
+    )
+    return place, there, back
+
+
+def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
+    """Between the positions at ± each torque without friction, rad, same shape."""
+    place, there, back = _branches(cycle)
+    elastic = np.maximum.accumulate(0.5 * (there + back))
     width = np.interp(elastic_nm, elastic, place) - np.interp(-elastic_nm, elastic, place)
     return np.asarray(width)

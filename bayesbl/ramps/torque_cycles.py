@@ -135,9 +135,10 @@ def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
         torque_nm = -torque_nm
     ramps = _ramps(torque_nm, position_rad, window)
     offset = _offset(ramps)
-    if offset != 0.0:
-        ramps = _ramps(torque_nm - offset, position_rad, window)
-    return replace(ramps, turned=turned, offset_nm=offset)
+    shifted = _ramps(torque_nm - offset, position_rad, window)
+    if shifted.cycles:  # unless the torque then goes to one side alone
+        return replace(shifted, turned=turned, offset_nm=offset)
+    return replace(ramps, turned=turned)
 
 
 def _ramps(torque_nm: FloatArray, position_rad: FloatArray, window: int) -> Ramps:
@@ -146,7 +147,8 @@ def _ramps(torque_nm: FloatArray, position_rad: FloatArray, window: int) -> Ramp
         noise = float(np.median(np.abs(np.diff(torque_nm)))) / (0.6745 * np.sqrt(2.0 * window))
         threshold = max(OVER_NOISE * noise, SMALLEST_EXCURSION * float(np.abs(torque).max()))
         candidates = [
-            _excursion(torque, position, threshold, *run) for run in _runs(torque, threshold)
+            _excursion(torque, position, (torque_nm, position_rad), threshold, window, *run)
+            for run in _runs(torque, threshold)
         ]
         excursions = tuple(e for e in candidates if e is not None)
         lengths = [e.back - e.begin for e in excursions]
@@ -164,21 +166,14 @@ def _ramps(torque_nm: FloatArray, position_rad: FloatArray, window: int) -> Ramp
 
 
 def _offset(ramps: Ramps) -> float:
-    """Torque about which the joint is free, where friction does not hold it at zero; else 0.
+    """Torque about which the joint is free: a load that hangs at it, or a sensor's zero.
 
-    A load that hangs at the joint, or a sensor's zero, moves both ways through the loop alike.
-    Beyond the friction it pushes the joint over its play before the torque is at zero, and what
-    ramps leave is not the play. Every large cycle must show it: small ones may not cross the play
-    at all.
+    It moves both ways through the loop alike. By the large cycles: small ones may not cross the
+    play at all.
     """
     largest = max((cycle.amplitude_nm for cycle in ramps.cycles), default=0.0)
     large = [cycle for cycle in ramps.cycles if cycle.amplitude_nm > LARGE * largest]
-    if not large:
-        return 0.0
-    free_torques = [_free_at(cycle) for cycle in large]
-    friction = max(cycle.friction_nm for cycle in large)
-    beyond = min(free_torques) > friction or max(free_torques) < -friction
-    return float(np.median(free_torques)) if beyond else 0.0
+    return float(np.median([_free_at(cycle) for cycle in large])) if large else 0.0
 
 
 def _free_at(cycle: Cycle) -> float:
@@ -252,7 +247,14 @@ def _ringing(runs: Sequence[tuple[int, int, int]]) -> int | None:
 
 
 def _excursion(
-    torque: FloatArray, position: FloatArray, threshold: float, side: int, first: int, last: int
+    torque: FloatArray,
+    position: FloatArray,
+    raw: tuple[FloatArray, FloatArray],
+    threshold: float,
+    window: int,
+    side: int,
+    first: int,
+    last: int,
 ) -> Excursion | None:
     """``None`` where the torque does not come back to zero, or at the end nearly so."""
     beyond = np.flatnonzero(side * torque[:first] <= 0.0)
@@ -265,7 +267,10 @@ def _excursion(
     back = unloads + int(home[0]) if home.size else torque.size - 1
     reached = side * float(np.max(side * position[first : back + 1]))
     top = begin + int(np.argmax(side * torque[begin : back + 1]))
-    return Excursion(side, begin, back, top, peak, reached, float(position[back]))
+    # A torque in steps passes zero within one, where its average is of both of its ends.
+    near = slice(max(back - window, top), back + window + 1)
+    left = float(raw[1][near][np.argmin(np.abs(raw[0][near]))])
+    return Excursion(side, begin, back, top, peak, reached, left)
 
 
 def _cycle(torque: FloatArray, position: FloatArray, a: Excursion, b: Excursion) -> Cycle:

@@ -206,11 +206,11 @@ def test_a_preload_beyond_what_the_ramps_tell_has_no_torque(tmp_path: Path, caps
 
 
 def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path: Path) -> None:
-    file = write(tmp_path / "a.csv", amplitudes=[15.0] * 3)
+    file = write(tmp_path / "a.csv", amplitudes=[3.5] * 3)
     code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp", "--gear-ratio", "1")
     assert code == 3
     assert summary["delta_rad"] is None
-    assert "to at least 45 N m" in summary["reason"]["text"]
+    assert "to at least 11 N m" in summary["reason"]["text"]
 
 
 def test_a_weight_is_no_play_of_none_with_one_large_cycle(tmp_path: Path) -> None:

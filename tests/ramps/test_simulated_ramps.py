@@ -58,6 +58,7 @@ def test_the_play_of_a_simulated_stand_is_recovered(tmp_path: Path) -> None:
     for snapshot in summary["snapshots"]:
         found, true = snapshot["delta_rad"], GAPS_RAD[snapshot["name"]]
         assert found["low"] < true < found["high"]
-        assert found["high"] - found["low"] < 0.15 * true
+        # Ramps so fast that the torque rises by 10 N m as the joint crosses the play.
+        assert found["high"] - found["low"] < 0.2 * true
     change = summary["change_rad"]
     assert change["low"] < GAPS_RAD["worn"] - GAPS_RAD["new"] < change["high"]

@@ -154,22 +154,41 @@ def test_larger_ramps_answer_where_friction_holds_the_small_ones():
     assert len(found.skipped_nm) == 1
 
 
-def test_ramps_of_one_size_do_not_tell_what_friction_holds():
+@pytest.mark.parametrize("size", [5.0, 10.0, LARGE])
+def test_ramps_of_one_size_show_the_play_and_the_wind_up_behind_it(size):
+    found = flanks_of(*[size] * 5)
+    assert found.finding == "play"
+    windup = np.concatenate(found.windup_rad).mean()
+    assert found.level.width_rad - windup == pytest.approx(2.0 * GAP, rel=0.02)
+    assert windup == pytest.approx(2.0 * COMPLIANCE * FRICTION, rel=0.2)
+
+
+def test_ramps_of_one_size_that_hardly_exceed_the_friction_do_not():
     found = flanks_of(*[SMALL] * 5)
     assert found.finding == "too_small"
     assert found.needed_nm == pytest.approx(3.0 * SMALL, rel=0.03)
 
 
-def test_small_ramps_that_stick_in_front_of_a_compliance_tell_nothing():
+def test_small_ramps_that_stick_in_front_of_a_compliance_are_skipped():
     """With a spring in series they move, but leave nothing: larger ones leave the whole play."""
     torque = triangles(*[4.0] * 3, *[50.0] * 3)
     position = operator(torque, friction=5.0) + COMPLIANCE * torque
     generator = np.random.default_rng(0)
     position = position + 1e-6 * generator.standard_normal(torque.size)
     found = find_flanks([find_ramps(*noisy(torque, position))])
-    assert found.finding == "too_small"
+    assert found.finding == "play"
     assert found.skipped_nm == pytest.approx((4.0,), rel=0.05)
-    assert 5.0 < found.needed_nm < 25.0
+
+
+def test_small_ramps_that_stop_in_the_middle_of_the_play_are_skipped():
+    """They leave less than larger ones leave without any wind-up that friction can hold."""
+    torque = np.concatenate([triangles(*[SMALL] * 3), triangles(*[LARGE] * 3)])
+    position = operator(torque)
+    small = slice(0, 3 * 800)
+    position[small] *= 0.6
+    found = find_flanks([find_ramps(torque, position)])
+    assert found.skipped_nm == pytest.approx((SMALL,), rel=0.05)
+    assert found.level.amplitude_nm == pytest.approx(LARGE, rel=0.05)
 
 
 @pytest.mark.parametrize("friction", [1e-6, 0.5, 3.0])
