@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from scipy.stats import truncnorm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
@@ -50,6 +51,14 @@ class Estimate:
         The standard deviation of a value that is stated although it is not the mean.
         """
         return math.hypot(self.sd, self.value - value)
+
+    def given_positive(self) -> Estimate:
+        """Mean and standard deviation of a normal variable, given that it is positive."""
+        if self.sd <= 0.0:
+            return self
+        low = -self.value / self.sd
+        mean, variance = truncnorm.stats(low, math.inf, self.value, self.sd)
+        return replace(self, value=float(mean), sd=math.sqrt(variance))
 
 
 @dataclass(frozen=True, slots=True)

@@ -951,6 +951,9 @@ def diagnose(
     if before is None:
         before = at.predicted(Coefficients(at.model.by_nuisances))
     denied = tuple(impossible(estimates))
+    if not denied:
+        positive = {name for name in estimates if PARAMETER_INFO[name].positive}
+        estimates |= {name: estimates[name].given_positive() for name in positive}
     if denied:
         remaining = []
     pieces = compared_pieces(at.model.rows, before, after)

@@ -256,7 +256,6 @@ def test_a_line_in_time_is_told_as_one_and_is_no_ripple() -> None:
     assert line.amplitude == pytest.approx(0.3, rel=0.2)
 
 
-@pytest.mark.xfail(reason="not reported since friction over the speed may have another form")
 def test_a_line_at_one_speed_is_left_open() -> None:
     made = []
     for i, name in enumerate("abc"):

@@ -642,7 +642,8 @@ class InverseView(View):
 
     @cached_property
     def _linear(self) -> FloatArray:
-        """Columns of nuisances, effects with one linear amplitude, and motor orders, (N, p)."""
+        """Columns of nuisances, effects with one linear amplitude, forms, and motor orders, last,
+        (N, p)."""
         columns = [column[:, None] for column in self._nuisances.values()]
         for name, law in self.laws.items():
             if name == SKEW or effect_named(name).is_periodic:
@@ -650,11 +651,9 @@ class InverseView(View):
             if law.scanned is None and not law.linear:
                 columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
         waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
-        torques = self._torques(FORM_ORDERS)
-        forms = (
-            d.columns for d in (*torques, self._spring) if not (d.series and d.series.reverses)
-        )
-        return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves, *forms])
+        torques = (*self._torques(FORM_ORDERS), self._spring)
+        forms = (torque.columns for torque in torques if torque.is_form)
+        return np.hstack([np.zeros((self.base.size, 0)), *columns, *forms, *waves])
 
     @cached_property
     def _by_linear(self) -> FloatArray:
@@ -713,19 +712,26 @@ class InverseView(View):
         return float(np.sum(residual[self.rows.shown] ** 2))
 
     def _with_slopes(self) -> InverseView:
-        """The view with the change of the linear fit by the recorder, if a skew is sought."""
+        """The view with the change of the linear fit by the recorder, if a skew is sought.
+
+        Smoothing makes a ripple smaller, and at one speed it would stand for the whole ripple. The
+        size of a ripple is free, so smoothing acts on the rest only.
+        """
         if SKEW not in self.laws:
             return self
         delay, smoothing = self.recorder.delay_s, self.recorder.smoothing_s2
         step = 1e-2 / self.parts[0].window.low_pass.cutoff_hz
         pairs = [
-            (Recorder(delay + step, smoothing), Recorder(delay - step, smoothing)),
-            (Recorder(delay, smoothing + step**2), Recorder(delay, smoothing)),
+            (Recorder(delay + step, smoothing), Recorder(delay - step, smoothing), self.orders),
+            (Recorder(delay, smoothing + step**2), Recorder(delay, smoothing), ()),
         ]
         slopes = []
-        for more, less in pairs:
-            views = (replace(self, recorder=r, cache={}) for r in (more, less))
-            high, low = (view.base + view._linear @ self._by_linear for view in views)
+        for more, less, orders in pairs:
+            views = (replace(self, recorder=r, orders=orders, cache={}) for r in (more, less))
+            high, low = (
+                view.base + view._linear @ self._by_linear[: view._linear.shape[1]]
+                for view in views
+            )
             width = more.delay_s - less.delay_s + more.smoothing_s2 - less.smoothing_s2
             slopes.append(np.where(self.shown, (high - low) / width, 0.0))
         return replace(self, slopes=np.stack(slopes, axis=1))

@@ -202,21 +202,18 @@ def resolved(values: FloatArray) -> FloatArray:
     torque does. The mean of the true signal, given the noisy one, does neither (regression
     calibration; Wiener 1949): 1 − noise/power, with the power of a band.
     """
-    n = values.size
-    taper = np.hanning(n)
-    power = np.abs(np.fft.rfft(taper * (values - np.linspace(values[0], values[-1], n)))) ** 2
-    noise = noise_of(values) ** 2 * float(taper @ taper)
-    line = np.arange(power.size)
+    straight = np.linspace(values[0], values[-1], values.size)
+    # The sines continue a signal oddly at its ends, as the filter does. A taper would not, and the
+    # ends would ring in the acceleration.
+    spectrum = np.concatenate([[0.0], fft.dst((values - straight)[1:-1], 1)])
+    power, noise = spectrum**2, 2.0 * (values.size - 1) * noise_of(values) ** 2
+    line = np.arange(1, power.size)
     first = np.floor(line / BAND).astype(int)
     last = np.minimum(np.ceil(line * BAND).astype(int) + 1, power.size)
     total = np.concatenate([[0.0], np.cumsum(power)])
     level = np.maximum((total[last] - total[first]) / (last - first), np.finfo(float).tiny)
-    share = np.maximum(0.0, 1.0 - noise / level)
-    share[0] = 1.0
-    straight, _, made = _filtered(
-        values, 1.0, 0.25 * n, lambda frequency: np.interp(frequency * n, line, share)
-    )
-    return np.asarray(straight + made)
+    straight[1:-1] += fft.idst(np.maximum(0.0, 1.0 - noise / level) * spectrum[1:], 1)
+    return straight
 
 
 def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
