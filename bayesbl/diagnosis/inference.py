@@ -323,6 +323,8 @@ class AffineModel:
         Columns that are always fitted, (N,), by name.
     nuisance_sds
         Prior standard deviations of nuisances, around their value in ``base``; others are flat.
+    of_recorder
+        Nuisances that a fit without any effect lacks.
     without
         Prediction of a fit without any effect, (N,), if base and nuisances alone are none.
     bands
@@ -337,6 +339,7 @@ class AffineModel:
     candidates: tuple[Candidate, ...] = ()
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
+    of_recorder: frozenset[str] = frozenset()
     without: FloatArray | None = None
     bands: tuple[MisfitBand, ...] = ()
     noises: Sequence[ResidualNoise] | None = None
@@ -356,9 +359,10 @@ class AffineModel:
 
     @cached_property
     def by_nuisances(self) -> FloatArray:
-        """Least-squares fit of the nuisances alone to the shown rows, (d,)."""
+        """Least-squares fit of the nuisances, but the recorder's, to the shown rows, (d,)."""
         shown, residual = self.rows.shown, self.rows.measured - self.base
-        return least_squares(self.jacobian[shown], residual[shown])
+        columns = self.jacobian * [name not in self.of_recorder for name in self.names]
+        return least_squares(columns[shown], residual[shown])
 
     def columns(self, candidate: Candidate, look: Look) -> FloatArray:
         """Columns of a candidate, separate for each used recording if its phases are."""

@@ -256,7 +256,7 @@ class FreeMotionView(View):
                 for s in self._series()
             ),
             believed_sds(self.bench, self.unknown),
-            self.without,
+            without=self.without,
         )
 
     def _series(self) -> Iterator[Series]:

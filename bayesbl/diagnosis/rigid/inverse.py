@@ -48,6 +48,7 @@ from bayesbl.diagnosis.inference import (
 )
 from bayesbl.diagnosis.rigid.motion import (
     END_PERIODS,
+    LARGEST_SHARE,
     WIDEST,
     LowPass,
     Motion,
@@ -439,6 +440,7 @@ class InverseView(View):
             tuple(self._candidates()),
             (*self._torques(), self._spring, self._drift(), *self._between_recordings()),
             sds,
+            of_recorder=frozenset({SMOOTHING}),
         )
 
     def _candidates(self) -> Iterator[Candidate]:
@@ -881,9 +883,6 @@ def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
     )
     return float(optimum.x) if optimum.fun <= costs[best] else float(grid[best])
 
-
-LARGEST_SHARE = 0.01
-"""Largest share of noise in the power of the acceleration. It lowers the inertia by as much."""
 
 BANDS_PER_OCTAVE = 3
 FEWEST_LINES = 10

@@ -172,7 +172,7 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     position = recording.channels.get(MOTOR_POSITION)
     if position is not None:
         angle, speed = low_pass(position), low_pass.derivative(position)
-        acceleration = low_pass.derivative(resolved(position), 2)
+        acceleration = low_pass.derivative(resolved(position, 2), 2)
         sway = _sway(angle, low_pass)
         return Motion(recording.time_s, angle, speed, acceleration, sway)
     measured = recording.channels.get(MOTOR_SPEED)
@@ -186,21 +186,26 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     speed = measured / RPM_PER_RAD_PER_S
     smooth = low_pass(speed)
     angle = np.asarray(cumulative_trapezoid(smooth, dx=period, initial=0.0))
-    acceleration = low_pass.derivative(resolved(speed))
+    acceleration = low_pass.derivative(resolved(speed, 1))
     sway = _sway(angle, low_pass)
     return Motion(recording.time_s, angle, smooth, acceleration, sway, source="speed")
 
+
+LARGEST_SHARE = 0.01
+"""Largest share of noise in the power of the acceleration. It lowers the inertia by as much."""
 
 BAND = 2.0**0.25
 """Half-width of the band in which a signal is compared with its noise, as a ratio."""
 
 
-def resolved(values: FloatArray) -> FloatArray:
+def resolved(values: FloatArray, times: int) -> FloatArray:
     """The part of evenly sampled values that stands out of their white noise, (n,).
 
     Noise in the acceleration would lower the inertia, most at high frequencies, as a filter of the
     torque does. The mean of the true signal, given the noisy one, does neither (regression
-    calibration; Wiener 1949): 1 − noise/power, with the power of a band.
+    calibration; Wiener 1949): 1 − noise/power, with the power of a band. ``times``: derivatives
+    that follow. Where noise is a large share of these, the noise of encoder steps is not white
+    enough to be subtracted, and nothing is left.
     """
     straight = np.linspace(values[0], values[-1], values.size)
     # The sines continue a signal oddly at its ends, as the filter does. A taper would not, and the
@@ -212,7 +217,10 @@ def resolved(values: FloatArray) -> FloatArray:
     last = np.minimum(np.ceil(line * BAND).astype(int) + 1, power.size)
     total = np.concatenate([[0.0], np.cumsum(power)])
     level = np.maximum((total[last] - total[first]) / (last - first), np.finfo(float).tiny)
-    straight[1:-1] += fft.idst(np.maximum(0.0, 1.0 - noise / level) * spectrum[1:], 1)
+    share = np.maximum(0.0, 1.0 - noise / level)
+    rise = (line / power.size) ** (2.0 * times)
+    share[np.cumsum(rise) * noise > LARGEST_SHARE * np.cumsum(rise * power[1:])] = 0.0
+    straight[1:-1] += fft.idst(share * spectrum[1:], 1)
     return straight
 
 
