@@ -150,6 +150,9 @@ def _proposal(
     with np.errstate(divide="ignore", invalid="ignore"):
         # ArviZ weights by the inverse of a likelihood; without a tail, k̂ is not a number.
         log_weights[finite], tail = array_stats.psislw(-log_weights[finite])
+    # Weights that all underflow, far from the density, have no tail that could be smoothed.
+    if not np.isfinite(log_weights).any():
+        return None
     return _Proposal(peak, covariance, points, density, log_weights, float(tail))
 
 

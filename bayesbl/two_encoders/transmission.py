@@ -6,11 +6,11 @@ With x the motor's position at the load and θ_l the load's,
 
 where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, how that
 wanders over many strokes, what the ratio is off by (x), the skew of the channels (ẋ), inertia that
-winds the joint up (ẍ), and the transmission error: harmonics of motor and load angle (one curve of
-the angle, the same both ways, where the load makes less than a turn). β is normal and integrated
-out. The noise e is white beside a process with a correlation time (Ornstein and Uhlenbeck), both by
-the largest evidence: a drift from stroke to stroke so counts once a stroke, not once a sample.
-Counts of the encoders and motion between two samples add to it
+winds the joint up (ẍ), torque that bends it, and the transmission error: harmonics of motor and
+load angle (one curve of the angle, the same both ways, where the load makes less than a turn). β is
+normal and integrated out. The noise e is white beside a process with a correlation time (Ornstein
+and Uhlenbeck), both by the largest evidence: a drift from stroke to stroke so counts once a stroke,
+not once a sample. Counts of the encoders and motion between two samples add to it
 (:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In the gap the load is where it likes,
 so the noise is as wide as the gap there. Misfit that lasts for a stroke is no noise: it moves h, β
 and all together (:class:`Final`).
@@ -22,10 +22,10 @@ lies between both directions, is δ and half of what friction of the load winds 
     h = δ + w/2
 
 w is what makers' sheets let expect, and, where there is a torque, what it does on the way between
-the flanks (:func:`of_windup`). δ has a mass at zero. If weight keeps the load on one flank, h is
-w/2 alone, whatever δ is: a third case beside play and none. Skew, eccentricity and a
-wrong ratio make no lag that keeps its size from slow to fast and turns with the direction: they are
-told from play by their evidence, here and not before.
+the flanks (:func:`of_windup`) and on them (:class:`Compliance`). δ has a mass at zero. If weight
+keeps the load on one flank, h is w/2 alone, whatever δ is: a third case beside play and none. Skew,
+eccentricity and a wrong ratio make no lag that keeps its size from slow to fast and turns with the
+direction: they are told from play by their evidence, here and not before.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp, ndtr, ndtri, softmax
 from scipy.stats import beta as beta_distribution
+from scipy.stats import f as f_distribution
 from scipy.stats import norm, qmc
 
 from bayesbl.compiled import compiled
@@ -53,6 +54,7 @@ from bayesbl.two_encoders.paths import (
     Channels,
     Paths,
     load_lag,
+    moving_mean,
     scaled_paths,
 )
 
@@ -157,6 +159,12 @@ PARTS = 1.0 / (1.0 + np.exp(-LOGITS))
 
 IMPOSSIBLE = 1e-200
 """Likelihood of what the torque excludes: its logarithm is a number."""
+
+LEAST_TORQUE = 1e-6
+"""Of a torque: below it is rounding."""
+
+TORQUE = 4
+"""Column of H of what bends the joint, where there is a torque."""
 
 LOOSE = 0.3
 """Standard deviation midway between the flanks, over h."""
@@ -341,6 +349,7 @@ class Design:
     """
 
     def __init__(self, paths: Paths, scaling: Scaling) -> None:
+        self.one_speed = scaling.edge_s > 0.0
         self.motor_rad = paths.binned(paths.motor_rad)
         self.load_rad = paths.binned(paths.load_rad)
         self.time_s = paths.binned(paths.time_s)
@@ -350,6 +359,14 @@ class Design:
         plain = [np.ones_like(self.motor_rad), self.motor_rad, *moves]
         names = ["offset", "ratio", "skew", "inertia"]
         sd = [1e3, RATIO_STATED if scaling.stated else 0.3, scaling.skew_sd_s, INERTIA_S2]
+        self.friction_nm: float | None = None
+        self.gravity_holds = np.nan
+        if paths.torque_nm is not None:
+            self.friction_nm, self.gravity_holds, rest = of_friction(paths)
+            bends = paths.binned(rest)
+            plain, names = [*plain, bends], [*names, "torque"]
+            least = LEAST_TORQUE * max(float(np.abs(paths.torque_nm).max()), 1e-300)
+            sd.append(MOST_CURVE_RAD / max(float(np.std(bends)), least))
         wanders = range(1, 1 + min((paths.reversals + 1) // WANDER_STROKES, WANDER_ORDERS))
         when = 2.0 * (self.time_s - self.time_s[0]) / max(np.ptp(self.time_s), 1e-300) - 1.0
         plain += list(legvander(when, len(wanders)).T[1:])
@@ -395,6 +412,12 @@ class Design:
         both = np.empty((lag.size, len(self.names) + 1))
         both[:, :-1] = self.base
         both[:, 1] = self.motor_rad - lag
+        if self.friction_nm is not None:
+            on = on_flank(lag)
+            bends = np.interp(self.time_s, self.time_s[on], self.base[on, TORQUE])
+            # Its friction is in h.
+            square = float(lag @ lag)
+            both[:, TORQUE] = bends - lag * (float(lag @ bends) / square if square else 0.0)
         both[:, -1] = self.load_rad - both[:, 1:3] @ self.centre[1:3]
         if not self.held and float(np.abs(lag).max()) > ALIKE_RAD:
             self._follow(both, both[:, 1])
@@ -488,13 +511,8 @@ class Model:
         self.measured_lag = design.motor_rad - design.load_rad
         as_read = np.eye(design.sd.size)
         self.reference = Cell(0, 0.0, -1e9, as_read[1], as_read, self.measured_lag)
-        self.counted = 1.0
+        self.counted, self.repeating = 1.0, 1.0
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
-        # By the torque: the friction, and how often the load's weight holds it on one flank.
-        self.friction_nm: float | None = None
-        self.gravity_holds = np.nan
-        if paths.torque_nm is not None:
-            self.friction_nm, self.gravity_holds = of_friction(paths)
 
     def measure_lag(self, cell: Cell) -> None:
         """Take the lag from the measurement, with all else as in a cell."""
@@ -578,7 +596,10 @@ class Model:
         passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
         # A load that rests there has the same count at each turn at the same place.
         common = (COMMON * half) ** 2 + self.paths.load_step_rad**2 / 12.0
-        return Final(misfit_rad, half, passages * common * near)
+        # How a load flies is not known, and the same in all passages.
+        stays = np.isinf(self.courses[best.course].drag) and not self.design.one_speed
+        lasts = misfit_rad * float(np.sqrt(self.repeating)) if stays else misfit_rad
+        return Final(lasts, half, passages * common * near)
 
     def misfit(self, noise: Noise) -> float:
         """What lasts for a stroke, and white noise beyond twice that of readings, rad."""
@@ -595,11 +616,13 @@ class Model:
         columns = self.design.columns(cell.lag)
         return np.asarray(self.design.load_rad - columns @ cell.beta)
 
-    def repeats(self, cell: Cell) -> float:
-        """Times that the same misfit is counted: one, and the share that repeats for each more.
+    def repeats(self, cell: Cell) -> tuple[float, float]:
+        """Times that the same misfit is counted: one, and the share that repeats for each more;
+        and the mean of this share over all that it may be, beforehand alike from none to all.
 
         What repeats whenever the motor passes the same place in the same direction is no noise,
-        and does not average out over cycles (one-way analysis of variance).
+        and does not average out over cycles (one-way analysis of variance). As strokes and not
+        places are independent, the variances have as many degrees of freedom as there are strokes.
         """
         residual, x = self.residual(cell), self.design.motor_rad
         place = np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int)
@@ -615,11 +638,17 @@ class Model:
         freedom = mean.size - number.size
         often = mean.size / number.size
         if freedom < 4 or number.size < 2:
-            return 1.0
+            return 1.0, 0.5
         within = float(np.sum((mean - centre[where]) ** 2)) / freedom
         between = float(np.sum(number * (centre - mean.mean()) ** 2)) / (number.size - 1)
         common = max(between - within, 0.0) / often
-        return 1.0 + common / max(common + within, 1e-300) * (often - 1.0)
+        counted = 1.0 + common / max(common + within, 1e-300) * (often - 1.0)
+        shares = (np.arange(256) + 0.5) / 256.0
+        scales = 1.0 + often * shares / (1.0 - shares)
+        strokes = max(int(stroke.max()) - 1, 1)
+        free = min(number.size - 1, strokes), min(freedom, strokes)
+        weights = f_distribution.pdf(between / max(within, 1e-300) / scales, *free) / scales
+        return counted, float(weights @ shares / max(float(weights.sum()), 1e-300))
 
     def profiled(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
         """The cell with noise of about the size of what it leaves: on the flanks, of a load that
@@ -673,6 +702,15 @@ class Model:
         return Noise(*np.exp(np.clip(optimum[:4], low, high))), at(optimum)
 
 
+def on_flank(lag: FloatArray) -> NDArray[np.bool_]:
+    """Bins where the motor's torque is the load's: not between the flanks, and not by the bins
+    where a flank takes the load.
+    """
+    on = np.abs(lag) >= TOUCHES * float(np.abs(lag).max())
+    within = np.asarray(np.convolve(on, np.ones(5), "same") > 4.5)
+    return within if within.any() else on
+
+
 def _lowest(
     cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int
 ) -> FloatArray:
@@ -713,10 +751,12 @@ def of_motor(paths: Paths) -> tuple[FloatArray, NDArray[np.bool_]]:
     )
 
 
-def of_friction(paths: Paths) -> tuple[float, float]:
-    """Friction that turns with the direction, N m, by the motor's torque, and how much more often
-    the torque of the load's weight is above it on one side than on the other; nan if no friction
-    shows. Inertia that is a curve of the angle counts as weight: it may be that.
+def of_friction(paths: Paths) -> tuple[float, float, FloatArray]:
+    """By the motor's torque: friction at the usual speed, N m; how much more often the torque of
+    the load's weight is above what turns with the direction on one side than on the other, nan if
+    no friction shows; and the rest, shape (n,), which bends the joint where the load makes it.
+
+    Inertia that is a curve of the angle counts as weight: it may be that.
     """
     assert paths.torque_nm is not None
     columns, moves = of_motor(paths)
@@ -726,9 +766,14 @@ def of_friction(paths: Paths) -> tuple[float, float]:
     beta = np.linalg.lstsq(columns[moves], paths.torque_nm[moves], rcond=1e-6)[0]
     fast = np.abs(columns[:, 1]) > 0.2
     pull, friction = columns[fast, 3:] @ beta[3:], float(beta[0])
+    # At rest the motor's friction has any value. The acceleration is as smooth.
+    rest = np.interp(paths.time_s, paths.time_s[moves], (paths.torque_nm - columns @ beta)[moves])
+    rest = moving_mean(rest, paths.time_s, 3.0 * SMOOTH_S)
+    # At one speed a part of it is taken for viscous.
+    most = max(friction + max(float(beta[1]), 0.0), 0.0)
     if friction <= 0.0:
-        return 0.0, np.nan
-    return friction, float(abs(np.mean(np.sign(pull) * (np.abs(pull) > friction))))
+        return most, np.nan, rest
+    return most, float(abs(np.mean(np.sign(pull) * (np.abs(pull) > friction)))), rest
 
 
 def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -744,7 +789,8 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     paths, design, half = model.paths, model.design, cell.half_rad
     how = model.courses[cell.course]
     nothing = np.ones(PARTS.size), *np.full((2, PARTS.size), np.nan)
-    if paths.torque_nm is None or half <= 0.0 or how.drives:
+    assert paths.torque_nm is not None
+    if half <= 0.0 or how.drives:
         return nothing
     rest = cell.beta.copy()
     rest[1] = 0.0
@@ -778,6 +824,74 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     best, at = likely.argmax(axis=0), np.arange(PARTS.size)
     spread = np.sqrt(variance / handed_square)
     return likely.mean(axis=0), friction[best, at], spread[best, at]
+
+
+class Compliance:
+    """What the load's friction winds up, and the compliance, by how the joint bends with the torque
+    beside friction and inertia.
+
+    The compliance is y/q: H has y, and q is the share of that torque's variance that the load
+    makes, at least what the misfit allows for; or the load makes none of it, and y tells nothing.
+    The load's friction is at most all that the torque has, about as the way between the flanks has
+    it (:func:`of_windup`).
+    """
+
+    def __init__(self, model: Model, cell: Cell, noise: Noise, total_nm: float) -> None:
+        design, on, misfit_rad = model.design, on_flank(cell.lag), model.misfit(noise)
+        columns = design.columns(cell.lag)
+        others = np.column_stack([np.delete(columns, TORQUE, axis=1), cell.lag])[on]
+        both = np.stack([columns[:, TORQUE], design.motor_rad - cell.lag - design.load_rad], axis=1)
+        own, behind = (both[on] - others @ np.linalg.lstsq(others, both[on], rcond=1e-9)[0]).T
+        square = max(float(own @ own), own.size * (LEAST_TORQUE * total_nm) ** 2)
+        measured = float(own @ behind) / square
+        # No torque changes with the place: of the misfit, what repeats there counts once.
+        lasts = own.size * model.repeating * misfit_rad**2
+        error = float(np.sqrt((noise.white_rad**2 + lasts) / square))
+        bend = measured**2 * square / own.size
+        least = bend / max(bend + misfit_rad**2, 1e-300)
+        shares = least + (1.0 - least) * (np.arange(8) + 0.5) / 8.0
+        bends = measured + error * ndtri((np.arange(32) + 0.5) / 32.0)
+        bends, shares = np.meshgrid(bends[bends > 0.0], shares)
+        self.per_nm = (bends / shares).ravel()
+        self.weights = 1.0 / (32 * 8 * bends.ravel())
+        self.weight_of_none = max(float(norm.pdf(0.0, measured, error)), IMPOSSIBLE)
+        self.of_way, friction_nm, spread_nm = of_windup(model, cell)
+        self.total_nm, shown = total_nm, np.isfinite(friction_nm)
+        self.friction_nm = np.where(shown, np.minimum(friction_nm, total_nm), 0.0)
+        self.spread_nm = np.where(shown, spread_nm, 1e3 * total_nm)
+        ends = ((end - self.friction_nm) / self.spread_nm for end in (0.0, total_nm))
+        self.low, high = map(ndtr, ends)
+        self.within = np.maximum(high - self.low, 1e-300)
+
+    def _each(self, windup_rad: FloatArray, part: NDArray[np.int64], k: int) -> FloatArray:
+        """Density of ln of the load's friction, if this is the compliance, over all weights."""
+        torque, sd = windup_rad / self.per_nm[k], self.spread_nm[part]
+        density = np.exp(-0.5 * ((torque - self.friction_nm[part]) / sd) ** 2) * torque
+        density *= torque < self.total_nm
+        return np.asarray(
+            density * self.weights[k] / (np.sqrt(2.0 * np.pi) * sd * self.within[part])
+        )
+
+    def likely(self, windup_rad: FloatArray) -> FloatArray:
+        """Of half of what friction winds up, shapes (cells, parts)."""
+        likely, parts = np.full(windup_rad.shape, self.weight_of_none), np.arange(PARTS.size)
+        for k in range(self.per_nm.size):
+            likely += self._each(windup_rad, parts, k)
+        return np.asarray(likely * self.of_way)
+
+    def drawn(
+        self, windup_rad: FloatArray, part: NDArray[np.int64], generator: np.random.Generator
+    ) -> FloatArray:
+        """Compliances, rad/(N m), of draws with these halves of wind-up, shapes (n,)."""
+        each = [self._each(windup_rad, part, k) for k in range(self.per_nm.size)]
+        edges = np.cumsum([*each, np.full(part.size, self.weight_of_none)], axis=0)
+        level, own = generator.uniform(size=(2, part.size))
+        which = (edges < level * edges[-1]).sum(axis=0)
+        friction = ndtri(self.low[part] + own * self.within[part])
+        friction = self.friction_nm[part] + self.spread_nm[part] * friction
+        by_friction = windup_rad / np.maximum(friction, 1e-3 * self.total_nm)
+        compliances = np.append(self.per_nm, 0.0)[which]
+        return np.asarray(np.where(which < self.per_nm.size, compliances, by_friction))
 
 
 def _settled(channels: Channels, at: Scaling, report: Progress) -> tuple[Model, Noise, Cell]:
@@ -874,7 +988,9 @@ def _with_own_way(
         if own.log_evidence > best.log_evidence:
             model, free, best = here, fitted, own
     model.measure_lag(best)
-    return model, *model.fitted(best.course, best.half_rad, free)
+    free, best = model.fitted(best.course, best.half_rad, free)
+    model.counted, model.repeating = model.repeats(best)
+    return model, free, best
 
 
 def _answered(
@@ -887,12 +1003,11 @@ def _answered(
 ) -> tuple[Transmission, float]:
     """The answer about the best course, and its log evidence in the end."""
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
-    model.counted = model.repeats(best)
     noises = [model.again(noise), model.again(free)]
     sharp = _refined(model, range(len(model.courses)), best, noises, None)
     whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
     # Passages at one speed are alike: their number does not tell which course the load takes.
-    least = -np.inf if has_one_speed(model.paths) else whole.max() - UNLIKELY
+    least = -np.inf if model.design.one_speed else whole.max() - UNLIKELY
     likely = sorted({sharp[i].course for i in np.flatnonzero(whole >= least)})
     model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
@@ -1176,9 +1291,9 @@ def _drawn(
     of_joint: np.random.SeedSequence,
 ) -> Transmission:
     """Draws by two lists of cells: whether there is play, and how large it is."""
-    names = model.design.names
+    paths, design = model.paths, model.design
+    names = design.names
     count = int(np.prod(DRAWS))
-    likely, friction_nm, friction_sd = of_windup(model, best)
     # Noise tells whether there is play and which course the load takes, misfit that lasts only h.
     by_noise, cells = lists
     again = model.again(noise)
@@ -1187,7 +1302,14 @@ def _drawn(
     shown = VISIBLE * float(np.hypot(noise.white_rad, model.misfit(noise)))
     falls = [abs(how.weight) > how.drag for how in model.courses]
     flies = [np.array([falls[c.course] and c.half_rad > shown for c in each]) for each in lists]
-    priors = [_priors(c, f, likely, of_held) for c, f in zip(lists, flies, strict=True)]
+    compliance = None
+    if design.friction_nm:
+        compliance = Compliance(model, best, noise, design.friction_nm)
+    priors = []
+    for each, flying in zip(lists, flies, strict=True):
+        windup = np.array([c.half_rad for c in each])[:, None] * PARTS
+        likely = np.ones_like(windup) if compliance is None else compliance.likely(windup)
+        priors.append(_priors(each, flying, likely, of_held))
     of_parts = priors[1][1]
     sharp, blunt = (
         [_log_masses(each, log, model) for log in prior[0]]
@@ -1196,7 +1318,7 @@ def _drawn(
     # An interval of h that reaches down to none leaves it open whether there is any.
     bare, with_play, rests = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
     seen = np.logaddexp(bare, with_play)
-    probability = float(np.exp(with_play - seen).min())
+    probability = float(np.exp(with_play - seen)[1])
     of_play = np.exp(np.array([bare, with_play, rests]) - np.logaddexp(seen, rests)).T
     # The same joint has play or none in all recordings, and is as soft: a change is not as unknown
     # as what it is of. Its friction is not the same.
@@ -1208,7 +1330,7 @@ def _drawn(
     for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
         courses = (c.course for c in by_noise[:-1])
         known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
-        if not has_one_speed(model.paths):
+        if not model.design.one_speed:
             wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
         weights = np.exp(wide - logsumexp(wide))
         interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
@@ -1231,7 +1353,7 @@ def _drawn(
     beta = np.empty((count, len(names)))
     for cell in np.unique(nearest):
         there = np.flatnonzero(nearest == cell)
-        lasts = float(np.hypot(MODEL * half[cell], model.misfit(noise)))
+        lasts = float(np.hypot(MODEL * half[cell], last.misfit_rad))
         final = replace(last, misfit_rad=lasts, half_rad=half[cell])
         at = model.cell(cells[cell].course, half[cell], again, final)
         normal = generator.standard_normal((len(names), there.size))
@@ -1239,7 +1361,6 @@ def _drawn(
         beta[there] = (at.beta[:, None] + moved).T
     # s is scaled as the load follows the motor: a ratio and a transmission error can be exchanged
     # over a part of a turn, not the slope that both make. No model of a gap is better than MODEL.
-    paths, design = model.paths, model.design
     mode = cells[nearest[np.argsort(half[nearest])[count // 2]]]
     columns = design.columns(mode.lag)
     measured_lag = mode.lag + columns @ mode.beta - design.load_rad
@@ -1271,11 +1392,11 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")] - by_speed_s,
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    spread = np.ptp(np.quantile(np.log(np.maximum(lost - delta, 1e-12)), ONE_SD))
-    is_informed = float(spread) < 2.0 * INFORMED * HELD_SPREAD
-    handed_nm = friction_nm[chosen] + friction_sd[chosen] * generator.standard_normal(count)
-    if is_informed and np.all(handed_nm > 0.0):
-        draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm
+    if compliance is not None:
+        windup = np.maximum(lost - delta, 1e-12)
+        per_nm = compliance.drawn(windup, chosen, generator)
+        if np.ptp(np.quantile(np.log(per_nm), ONE_SD)) < 2.0 * INFORMED * HELD_SPREAD:
+            draws["compliance_rad_per_nm"] = per_nm
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
     harmonics = {
         (side, int(order)): np.hypot(
@@ -1301,10 +1422,10 @@ def _drawn(
         curve,
         halves,
         paths.reversals,
-        model.friction_nm,
-        model.gravity_holds,
+        design.friction_nm,
+        design.gravity_holds,
         max(map(tuple, of_play.tolist()), key=lambda each: each[2]),
-        has_one_speed(paths)
+        design.one_speed
         and bool(
             (np.mean(stays) < 0.5 and np.mean(delta > 0.0) < SURE)
             or np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5

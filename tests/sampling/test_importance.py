@@ -73,3 +73,14 @@ def test_a_density_that_few_draws_hit_gets_more_draws() -> None:
     assert kstest(np.exp(2.0 * points[chosen]).mean(axis=1), gamma(8.0, scale=1 / 8).cdf).pvalue > (
         FALSE_ALARM
     )
+
+
+def test_a_density_that_no_draw_hits_is_left_to_another_sampler() -> None:
+    box = np.full(3, -np.inf), np.full(3, np.inf)
+
+    def density(points: FloatArray) -> FloatArray:
+        return np.asarray(-1e8 * np.sum((points - 3.0) ** 2, axis=1))
+
+    generator = np.random.default_rng(9)
+    found = independent_draws(density, np.zeros(3), np.eye(3), box, DRAWS, generator, most=4000)
+    assert found is None

@@ -300,6 +300,55 @@ def test_the_torque_on_the_way_tells_wind_up_from_play(wound, is_play, most):
     assert low <= 2.0 * (1.0 - wound) * half <= high
 
 
+@pytest.mark.parametrize("half", [2e-3, 2e-2])
+def test_a_torque_that_bends_the_joint_shows_its_stiffness_and_narrows_its_play(half):
+    """A brake at the output that pulls to and fro, too weakly to change the flank."""
+    generator = np.random.default_rng(9)
+    friction, stiffness = 8.0, 3e4
+    time = np.arange(0.0, 30.0, 2e-3)
+    path = 0.7 * np.sin(np.pi * time) + 0.3 * np.sin(2.0 * np.pi * time / 3.1)
+    pulled = 4.0 * np.sin(2.0 * np.pi * time / 7.3)
+    load, at = [], path[0]
+    for x, brake in zip(path, pulled, strict=True):
+        behind, ahead = (half + (friction + sign * brake) / stiffness for sign in (1.0, -1.0))
+        at = min(max(at, x - behind), x + ahead)
+        load.append(at)
+    wound = path - load
+    torque = stiffness * (wound - np.clip(wound, -half, half)) + 5.0 * np.sign(np.gradient(path))
+    torque += 0.4 * generator.standard_normal(time.size)
+    read = load + 5e-6 * generator.standard_normal(time.size)
+    found = fitted(Channels(time, RATIO * path, read, torque / RATIO))
+    low, high = bounds(found.draws["compliance_rad_per_nm"], 0.95)
+    assert low <= 1.0 / stiffness <= high < 1.3 * low
+    low, high = bounds(found.draws["play_rad"], 0.95)
+    assert low <= 2.0 * half <= high < 1.2 * low
+
+
+def test_a_torque_that_the_motor_alone_needs_tells_no_stiffness():
+    generator = np.random.default_rng(10)
+    time = np.arange(0.0, 30.0, 2e-3)
+    path = 0.7 * np.sin(np.pi * time) + 0.3 * np.sin(2.0 * np.pi * time / 3.1)
+    read = dragged(path, 2e-3) + 5e-6 * generator.standard_normal(time.size)
+    torque = 13.0 * np.sign(np.gradient(path)) + 4.0 * np.sin(2.0 * np.pi * time / 7.3)
+    found = fitted(Channels(time, RATIO * path, read, torque / RATIO))
+    assert "compliance_rad_per_nm" not in found.draws
+    low, high = bounds(found.draws["play_rad"], 0.99)
+    assert low <= 4e-3 <= high
+
+
+def test_misfit_of_which_no_stroke_repeats_another_leaves_wide_play_certain():
+    """An elastic load whose flank wanders from stroke to stroke, thirty strokes long."""
+    generator = np.random.default_rng(11)
+    time = np.arange(0.0, 60.0, 5e-3)
+    path = 0.5 * np.sin(2.0 * np.pi * time / 4.0) + 0.2 * np.sin(2.0 * np.pi * time / 2.7)
+    knots = np.arange(0.0, 62.0, 2.0)
+    wanders = np.interp(time, knots, 4e-4 * generator.standard_normal(knots.size))
+    load = dragged(path, 2e-3) + wanders
+    found = fitted(Channels(time, RATIO * path, load + 2e-5 * generator.standard_normal(time.size)))
+    low, high = bounds(found.draws["lost_motion_rad"], 0.95)
+    assert low <= 4e-3 <= high < 1.2 * low
+
+
 def test_a_load_that_drags_the_motor_shows_the_same_play():
     generator = np.random.default_rng(5)
     time = np.arange(0.0, 20.0, 5e-3)
@@ -321,7 +370,7 @@ def test_only_weight_on_one_side_holds_a_load_on_a_flank(weight, held):
     path = 0.2 * np.sum(waves, axis=0)
     torque = np.gradient(np.gradient(path, time), time) + np.sign(np.gradient(path))
     torque += weight[0] + weight[1] * np.sin(path)
-    friction, share = of_friction(scaled_paths(Channels(time, path, path, torque), 1.0))
+    friction, share, _ = of_friction(scaled_paths(Channels(time, path, path, torque), 1.0))
     assert friction == pytest.approx(1.0, rel=0.1)
     assert share == pytest.approx(held, abs=0.1)
 
