@@ -106,7 +106,7 @@ def late(torque: FloatArray) -> FloatArray:
 
 BESIDE: dict[str, Torque] = {
     "late": lambda _, v, a: late(INERTIA * a + friction(v)),
-    "warm": lambda n, v, a: INERTIA * a + (0.9 if n == "b" else 1.1) * friction(v),
+    "warm": lambda n, v, a: INERTIA * a + (1.1 if n == "b" else 0.9) * friction(v),
     "root": lambda _, v, a: (
         INERTIA * a + friction(v) + 0.1 * np.sqrt(np.abs(v)) * np.tanh(v / 0.02)
     ),
