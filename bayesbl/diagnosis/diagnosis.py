@@ -6,11 +6,13 @@ and figures depend on its contents, never on the method.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from scipy.stats import truncnorm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
@@ -42,6 +44,21 @@ class Estimate:
     sd: float
     draws: FloatArray | None = None
     logarithmic: bool = False
+
+    def rms_about(self, value: float) -> float:
+        """Root mean square of its difference from another value.
+
+        The standard deviation of a value that is stated although it is not the mean.
+        """
+        return math.hypot(self.sd, self.value - value)
+
+    def given_positive(self) -> Estimate:
+        """Mean and standard deviation of a normal variable, given that it is positive."""
+        if self.sd <= 0.0:
+            return self
+        low = -self.value / self.sd
+        mean, variance = truncnorm.stats(low, math.inf, self.value, self.sd)
+        return replace(self, value=float(mean), sd=math.sqrt(variance))
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, Use, disagreement_table
-from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
+from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, FORM_SHARE, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import (
     DiscrepancyGroup,
     Draws,
@@ -256,9 +256,12 @@ class Series:
 
     @cached_property
     def means(self) -> FloatArray:
-        """Means of the waves over the recorded range, (2 orders,). They are subtracted, because a
-        constant torque is an effect of the catalogue."""
+        """Means of the waves over the recorded range, or their values at a standstill within it,
+        (2 orders,). They are subtracted, because a constant torque and dry friction are in the
+        catalogue."""
         low, high = self.reach
+        if self.variable == "motor_speed" and low <= 0.0 <= high:
+            low = high = 0.0
         x = np.linspace(low, min(high, low + self.period), 1000)
         return np.asarray(self._waves(x).mean(axis=0))
 
@@ -291,12 +294,23 @@ class Series:
 class Discrepancy:
     """Columns of one kind of discrepancy, (N, m), scaled to equal priors.
 
-    ``series``: the torque that they make up, if any.
+    ``series``: the torque that they make up, if any. ``is_form``: whether it is a departure from
+    the forms of laws, which no joint follows exactly, so that it is always in at its usual size.
+    ``own``: root mean square of a law of the bench that it resembles, in the channel's unit.
+    ``of``: the candidate whose departures in each recording they are, if any.
     """
 
     kind: str
     columns: FloatArray
     series: Series | None = None
+    is_form: bool = False
+    own: float = 0.0
+    of: str = ""
+
+    @property
+    def varies(self) -> bool:
+        """Whether its variable does: at one speed, nothing shows a form."""
+        return self.series is None or float(np.ptp(self.series.reach)) > STEADY * self.series.period
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,6 +323,8 @@ class AffineModel:
         Columns that are always fitted, (N,), by name.
     nuisance_sds
         Prior standard deviations of nuisances, around their value in ``base``; others are flat.
+    of_recorder
+        Nuisances that a fit without any effect lacks.
     without
         Prediction of a fit without any effect, (N,), if base and nuisances alone are none.
     bands
@@ -323,6 +339,7 @@ class AffineModel:
     candidates: tuple[Candidate, ...] = ()
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
+    of_recorder: frozenset[str] = frozenset()
     without: FloatArray | None = None
     bands: tuple[MisfitBand, ...] = ()
     noises: Sequence[ResidualNoise] | None = None
@@ -342,9 +359,10 @@ class AffineModel:
 
     @cached_property
     def by_nuisances(self) -> FloatArray:
-        """Least-squares fit of the nuisances alone to the shown rows, (d,)."""
+        """Least-squares fit of the nuisances, but the recorder's, to the shown rows, (d,)."""
         shown, residual = self.rows.shown, self.rows.measured - self.base
-        return least_squares(self.jacobian[shown], residual[shown])
+        columns = self.jacobian * [name not in self.of_recorder for name in self.names]
+        return least_squares(columns[shown], residual[shown])
 
     def columns(self, candidate: Candidate, look: Look) -> FloatArray:
         """Columns of a candidate, separate for each used recording if its phases are."""
@@ -399,11 +417,11 @@ def with_shared_scale(
     }
 
 
+STEADY = 0.01
+"""Range of a variable, in periods of a series, below which it is constant."""
+
 DRAWS = 1000
 """Number of posterior draws: a standard deviation is exact to 2 %."""
-
-DISCREPANCY_SHARE = 0.1
-"""Usual share of a discrepancy in the root mean square of the compared signal."""
 
 EXCESS = 3.4
 """Residual over the noise floor up to which it is taken for noise. Slow noise and drift exceed the
@@ -525,7 +543,8 @@ class Inference:
         self.groups = [slice(*pair) for pair in pairwise(ends)]
         noises = noises or model.noises
         if noises is None:
-            noises = self._noise_beside_everything([term.columns for term in terms])
+            selected = [term.columns for term in terms if not term.always]
+            noises = self._noise_beside_everything(selected)
         self.noises = tuple(noises)
         shown = [piece.shown for piece in pieces]
         pairs = list(zip(self.noises, shown, strict=True))
@@ -561,6 +580,12 @@ class Inference:
                     unit=unit,
                     source=(candidate, look),
                 )
+        for form in (d for d in self.model.discrepancies if d.is_form and d.varies):
+            columns, rows = form.columns, self.model.rows
+            size = math.sqrt(float((columns[rows.shown] ** 2).mean(axis=0).sum())) or 1.0
+            size = FORM_SHARE * math.hypot(self._level, form.own) / size
+            columns, unit = columns[rows.used], np.full(columns.shape[1], size)
+            yield Term(form.kind, columns * unit, always=True, unit=unit, source=form)
 
     @cached_property
     def _rounding(self) -> float:
@@ -599,15 +624,15 @@ class Inference:
             return np.asarray((rows.T / self.sizes).T)
 
         model = self.model
-        hypotheses = len({term.hypothesis for term in terms})
+        hypotheses = len({term.hypothesis for term in terms if not term.always})
         another = EXPECTED_HYPOTHESES / max(1, hypotheses)
         for k, term in enumerate(terms):
-            candidate, _ = term.source
+            weight = term.prior_weight
             # A law that contains another one is that law plus a departure: two hypotheses.
-            is_double = candidate.kind == "effect" and candidate.excludes
-            weight = term.prior_weight * (another if is_double else 1.0)
+            if term.excludes and term.source[0].kind == "effect":
+                weight *= another
             terms[k] = replace(term, columns=scaled(term.columns), prior_weight=weight)
-        usual = DISCREPANCY_SHARE * self._level / self._shown_size
+        usual = FORM_SHARE * self._level / self._shown_size
         groups = [
             DiscrepancyGroup(d.kind, columns, usual)
             for d, columns in zip(model.discrepancies, self.groups, strict=True)
@@ -639,7 +664,7 @@ class Inference:
     @cached_property
     def labels(self) -> Mapping[str, Candidate]:
         """Candidates that the recordings show, by label."""
-        return {term.hypothesis: term.source[0] for term in self.terms}
+        return {term.hypothesis: term.source[0] for term in self.terms if not term.always}
 
     @cached_property
     def sure(self) -> tuple[tuple[str, ...], ...]:
@@ -650,7 +675,7 @@ class Inference:
     def lookalikes(self, label: str) -> list[str]:
         """Candidates whose signals differ from those of one only by nuisances."""
         view = self.posterior.linearised
-        terms = [term for term in view.terms if term.columns.shape[1] == 1]
+        terms = [t for t in view.terms if t.columns.shape[1] == 1 and not t.always]
         scale = np.maximum(np.abs(view.jacobian).max(axis=0), _TINY)
         basis, _ = np.linalg.qr(view.jacobian / scale)
         columns = np.hstack([np.zeros((len(basis), 0)), *(term.columns for term in terms)])
@@ -690,8 +715,22 @@ class Inference:
                 middle = math.atan2(share @ np.sin(value), share @ np.cos(value))
                 value = middle + np.angle(np.exp(1j * (value - middle)))
             spread = float(share @ (variance + (value - middle) ** 2))
+            if name == candidate.parameters[0]:
+                spread += self._between_recordings(label)
             estimates[name] = Estimate(middle, math.sqrt(spread))
         return estimates
+
+    def _between_recordings(self, label: str) -> float:
+        """Variance of a candidate's mean size, because it differs between the recordings.
+
+        Σ c²/(R (R − 1)), with the departures c of R recordings from their mean.
+        """
+        discrepancies = zip(self.model.discrepancies, self.groups, strict=True)
+        groups = [group for discrepancy, group in discrepancies if discrepancy.of == label]
+        draws = np.hstack([np.zeros((DRAWS, 0)), *(self.draws.discrepancy[:, g] for g in groups)])
+        recordings = len(self.model.rows.recordings)
+        apart = draws - draws.mean(axis=1, keepdims=True) if groups else draws
+        return float(np.sum(apart**2)) / DRAWS / max(1, recordings * (recordings - 1))
 
     def change(self, name: str) -> Estimate:
         """Change of a parameter: the sum of its nuisance and its candidate, if it has them."""
@@ -707,12 +746,18 @@ class Inference:
     @property
     def average(self) -> Coefficients:
         """Posterior mean of everything."""
+        sizes = {
+            k: weight @ mean * self.terms[k].unit
+            for k, (weight, mean, _) in self.posterior.sizes.items()
+        }
+        ends = np.cumsum([term.columns.shape[1] for term in self.terms]).tolist()
+        for k, (term, end) in enumerate(zip(self.terms, ends, strict=True)):
+            if term.always:
+                draws = self.draws.sizes[:, end - term.columns.shape[1] : end]
+                sizes[k] = draws.mean(axis=0) * term.unit
         return Coefficients(
             self.draws.fitted.mean(axis=0),
-            {
-                k: weight @ mean * self.terms[k].unit
-                for k, (weight, mean, _) in self.posterior.sizes.items()
-            },
+            sizes,
             {
                 g: self.draws.discrepancy[:, group].mean(axis=0)
                 for g, group in enumerate(self.groups)
@@ -728,13 +773,16 @@ class Inference:
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
+        # A cable is a law that no catalogue has; a departure of form is none.
+        chosen += [k for k, t in enumerate(view.terms) if t.always and t.source.series is None]
         terms = [view.terms[k] for k in chosen]
         learned = [view.discrepancy[:, self.groups[g]] for g in groups]
         blocks = [view.jacobian, *(term.columns for term in terms), *learned]
         widths = [block.shape[1] for block in blocks]
         lowest = [-free, *(0.0 if t.positive else -free for t in terms), *(-free for _ in groups)]
         nuisance_sds = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
-        block_sds = [*(free for _ in terms), *(self.posterior.discrepancy_sd(g) for g in groups)]
+        block_sds = [1.0 if term.always else free for term in terms]
+        block_sds += [self.posterior.discrepancy_sd(g) for g in groups]
         sds = np.concatenate([nuisance_sds, np.repeat(block_sds, widths[1:])])
         prior = np.diag(1.0 / np.maximum(sds, 1e-300))[np.isfinite(sds)]
         values = bounded_least_squares(
@@ -770,6 +818,9 @@ class Inference:
         total = model.base + model.jacobian @ coefficients.nuisances
         waves: list[tuple[float, FloatArray]] = []
         for k, size in coefficients.sizes.items():
+            if self.terms[k].always:
+                total = total + self.terms[k].source.columns @ size
+                continue
             candidate, look = self.terms[k].source
             total = total + model.columns(candidate, look) @ size
             if candidate.own_phase and size.any():
@@ -792,10 +843,13 @@ class Inference:
         return np.asarray(total)
 
     def discrepancy(self) -> FloatArray:
-        """Posterior mean of the discrepancy, (N,)."""
-        total = np.zeros(self.model.base.size)
-        for g, size in self.average.discrepancy.items():
+        """Posterior mean of the discrepancy and of departures from the laws' forms, (N,)."""
+        average, total = self.average, np.zeros(self.model.base.size)
+        for g, size in average.discrepancy.items():
             total += self.model.discrepancies[g].columns @ size
+        for k, term in enumerate(self.terms):
+            if term.always:
+                total += term.source.columns @ average.sizes[k]
         return total
 
     def residual_noise(self) -> Sequence[ResidualNoise]:
@@ -889,17 +943,21 @@ def diagnose(
     learned = None if group is None else learned_answer(at, fitted, group)
     kinds = {label: inference.labels[label].kind for label, _ in named}
     estimates = {
-        name: Estimate(bench.value(name) + value, inference.change(name).sd)
+        name: Estimate(bench.value(name) + value, at.change(name).rms_about(value))
         for name, value in zip(at.model.names, fitted.nuisances, strict=True)
         if name in PARAMETER_INFO
     }
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
-        (size,) = at.of_projection(fitted, label).values()
-        estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
+        (value,) = at.of_projection(fitted, label).values()
+        sd = at.values(label)[label].rms_about(value)
+        estimates[label] = Estimate(bench.value(label) + value, sd)
     after, before = at.predicted(fitted), at.model.without
     if before is None:
         before = at.predicted(Coefficients(at.model.by_nuisances))
     denied = tuple(impossible(estimates))
+    if not denied:
+        positive = {name for name in estimates if PARAMETER_INFO[name].positive}
+        estimates |= {name: estimates[name].given_positive() for name in positive}
     if denied:
         remaining = []
     pieces = compared_pieces(at.model.rows, before, after)
@@ -913,7 +971,7 @@ def diagnose(
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
     effects = [
-        _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
+        _effect(at, label, fitted, alike, inference.probability((label, *alike)), scale_sd)
         for label, alike in named
         if kinds[label] == "effect" and label not in silent
     ]
@@ -1017,16 +1075,19 @@ def _learned_group(inference: Inference) -> int | None:
 def _effect(
     inference: Inference,
     label: str,
-    fitted: Mapping[str, float],
+    fitted: Coefficients,
     alike: tuple[str, ...],
+    probability: float,
     scale_sd: float,
 ) -> NamedEffect:
     candidate = inference.labels[label]
     parameters = inference.values(label)
-    for name, value in fitted.items():
-        parameters[name] = Estimate(value, parameters[name].sd)
+    for name, value in inference.of_projection(fitted, label).items():
+        known = parameters[name]
+        # Lines beside that of a ripple are its sidebands, and share its size.
+        sd = known.sd if candidate.is_wave else known.rms_about(value)
+        parameters[name] = Estimate(value, sd)
     size = parameters[candidate.parameters[0]]
-    probability = inference.probability((label, *alike))
     z = abs(size.value) / max(size.sd, _TINY)
     units = {p.name: p.unit for p in effect_named(candidate.name).parameters}
     parameters = with_shared_scale(parameters, units, scale_sd)

@@ -105,10 +105,13 @@ def wide(path: Path, columns: int) -> Path:
     return path
 
 
-def test_a_file_that_is_transposed_is_said_to_be(
+def test_a_file_that_is_transposed_and_more_is_said_to_be(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.status(["fit", str(wide(tmp_path / "a.csv", 5_000))]) == cli.WRONG
+    """A line for each channel is read; with a line of another kind below, it is a question."""
+    path = wide(tmp_path / "a.csv", 5_000)
+    path.write_text(path.read_text() + ",".join(["end"] * 5_001) + "\n")
+    assert cli.status(["fit", str(path)]) == cli.WRONG
     assert "transposed?" in capsys.readouterr().err
 
 

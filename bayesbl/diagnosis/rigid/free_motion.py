@@ -251,9 +251,12 @@ class FreeMotionView(View):
             base,
             nuisances,
             tuple(candidates),
-            tuple(Discrepancy(s.kind, self._waves(at, s), s) for s in self._series()),
+            tuple(
+                Discrepancy(s.kind, self._waves(at, s), s, s.variable == "motor_speed")
+                for s in self._series()
+            ),
             believed_sds(self.bench, self.unknown),
-            self.without,
+            without=self.without,
         )
 
     def _series(self) -> Iterator[Series]:
@@ -270,7 +273,7 @@ class FreeMotionView(View):
         ends = [(float(x.min()), float(x.max())) for x in (angle, speed)]
         for reverses in (False, True):
             yield Series("load_angle", way, reverses, ORDERS, ends[0])
-            yield Series("motor_speed", fastest, reverses, ORDERS, ends[1])
+        yield Series("motor_speed", fastest, False, ORDERS, ends[1])
 
     def _waves(self, at: FloatArray, series: Series) -> FloatArray:
         """Derivatives of the trajectories by the coefficients of a torque, (N, 2 orders)."""

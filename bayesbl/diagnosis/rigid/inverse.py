@@ -48,9 +48,11 @@ from bayesbl.diagnosis.inference import (
 )
 from bayesbl.diagnosis.rigid.motion import (
     END_PERIODS,
+    LARGEST_SHARE,
     WIDEST,
     LowPass,
     Motion,
+    Recorder,
     Window,
     inside,
     motion_of,
@@ -93,7 +95,8 @@ from bayesbl.recording.types import (
     Recording,
 )
 
-SKEW = "channel_time_skew"
+SPRING = "torque_in_proportion_to_load_angle"
+SKEW, SMOOTHING = "channel_time_skew", "recorder_smoothing"
 TORQUE_CONSTANT = "torque_constant_nm_per_a"
 
 TORQUE_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
@@ -145,7 +148,10 @@ WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 wider one would be viscous friction."""
 
 DELAY = 4.0
-"""Usual skew, in sampling periods."""
+"""Usual delay of a recorder, and usual root of its smoothing, in sampling periods."""
+
+RECORDER_ROUNDS, RECORDER_STEP = 8, 1e-3
+"""Largest number of steps of the recorder's fit, and relative gain at which it ends."""
 
 QUIET = 0.5
 """Largest noise of the motion over that of the torque. It makes standard deviations an eighth too
@@ -156,6 +162,12 @@ MOST_ORDERS, MOST_LINES = 8, 4
 
 FINER = 5
 """Number of shapes between the neighbours of a probable one."""
+
+DRIFTING = ("motor_coulomb_friction", "motor_viscous_friction")
+"""Friction that differs between recordings, as grease warms up."""
+
+FORM_ORDERS = 3
+"""Orders of the torques by which laws depart from their forms: those that look like a law."""
 
 DRIFT_ORDERS = 6
 """Number of cosines over the time of a recording: slower than friction that warms up."""
@@ -202,11 +214,12 @@ class InverseView(View):
         Whether the motor position gives the load's angle, and with it gravity's direction.
     phases_shared
         Whether the motor position is absolute, so that one phase holds in all recordings.
-    skew_s, width
-        Values around which the model is linear: lag of the current or position, s, and the width of
-        dry friction, rad/s.
-    slope
-        Change of the prediction per second of skew, in the channel's unit, (N,).
+    recorder, width
+        Values around which the model is linear: what the drive does to the torque before it is
+        recorded, and the width of dry friction, rad/s.
+    slopes
+        Change of the prediction per second of the recorder's delay, and per s² of its smoothing, in
+        the channel's unit, (N, 2).
     shapes
         Values of a shape that replace its grid, by effect.
     orders, lines
@@ -223,9 +236,9 @@ class InverseView(View):
     unknown: tuple[str, ...] = ()
     load_angle_known: bool = False
     phases_shared: bool = False
-    skew_s: float = 0.0
+    recorder: Recorder = field(default_factory=Recorder)
     width: float = 0.0
-    slope: FloatArray | None = None
+    slopes: FloatArray | None = None
     shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     orders: tuple[Line, ...] = ()
     lines: tuple[Line, ...] = ()
@@ -268,12 +281,8 @@ class InverseView(View):
 
     @cached_property
     def _motions(self) -> list[Motion]:
-        """Motion of each part as the compared channel shows it: earlier, if the channel lags."""
-        key = ("motions", self.skew_s)
-        if key not in self.cache:
-            motions = (part.motion for part in self.parts)
-            self.cache[key] = [m.shifted(self.skew_s) if self.skew_s else m for m in motions]
-        return [replace(m, friction_width=self.width) for m in self.cache[key]]
+        """Motion of each part."""
+        return [replace(part.motion, friction_width=self.width) for part in self.parts]
 
     def _compared(
         self,
@@ -292,9 +301,11 @@ class InverseView(View):
             part, signal = self.parts[i], signal_of(i, self._motions[i])
             if part.window.above and not above:
                 return np.zeros((part.piece.measured.size, *signal.shape[1:]))
-            return part.window(signal)
+            period = part.window.low_pass.period_s
+            columns = [self.recorder(column, period) for column in np.atleast_2d(signal.T)]
+            return part.window(np.stack(columns, axis=1) if signal.ndim > 1 else columns[0])
 
-        whole_key = (key, self.skew_s, width)
+        whole_key = (key, self.recorder, width)
         if whole_key not in self.cache:
             self.cache[whole_key] = self.rows.stack(of_piece)
         signals: FloatArray = self.cache[whole_key]
@@ -415,14 +426,21 @@ class InverseView(View):
     @cached_property
     def model(self) -> AffineModel:
         """Model at the skew and the width."""
-        base = self.base if self.slope is None else self.base - self.skew_s * self.slope
+        base, nuisances = self.base, dict(self._nuisances)
+        sds = believed_sds(self.bench, self.unknown)
+        if self.slopes is not None:
+            delay, smoothing = self.recorder.delay_s, self.recorder.smoothing_s2
+            base = base - self.slopes @ [delay, smoothing]
+            nuisances[SMOOTHING] = self.slopes[:, 1]
+            sds[SMOOTHING] = max(self._usual_delay_s**2, smoothing)
         return AffineModel(
             self.rows,
             base if self.shown.all() else np.where(self.shown, base, self._base_above),
-            self._nuisances,
+            nuisances,
             tuple(self._candidates()),
-            (*self._torques(), self._drift()),
-            believed_sds(self.bench, self.unknown),
+            (*self._torques(), self._spring, self._drift(), *self._between_recordings()),
+            sds,
+            of_recorder=frozenset({SMOOTHING}),
         )
 
     def _candidates(self) -> Iterator[Candidate]:
@@ -431,9 +449,8 @@ class InverseView(View):
         for name, law in self.laws.items():
             amplitude = (law.amplitude,)
             if name == SKEW:
-                if self.slope is not None:
-                    period = self.parts[0].window.low_pass.period_s
-                    look = Look({}, self.slope[:, None], size=DELAY * period)
+                if self.slopes is not None:
+                    look = Look({}, self.slopes[:, :1], size=self._usual_delay_s)
                     yield candidate_of(law, name, amplitude, (look,))
             elif law.scanned == ORDER:
                 for line in self.orders:
@@ -483,7 +500,7 @@ class InverseView(View):
 
     # The discrepancy
 
-    def _torques(self) -> Iterator[Discrepancy]:
+    def _torques(self, orders: int = LEARNED_HARMONICS) -> Iterator[Discrepancy]:
         """A torque over each variable."""
         ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
@@ -495,14 +512,15 @@ class InverseView(View):
                 ]
             )
             reach = (float(values.min()), float(values.max()))
-            series = Series(variable, period, reverses, LEARNED_HARMONICS, reach)
+            series = Series(variable, period, reverses, orders, reach)
 
             def columns(motion: Motion, series: Series = series) -> FloatArray:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 return waves * direction(motion)[:, None] if series.reverses else waves
 
-            key = (series.kind, period, self.width)
-            yield Discrepancy(series.kind, self._torque(key, columns), series)
+            width = self.width if reverses else 0.0
+            torque = self._torque((series.kind, period, orders), columns, width=width)
+            yield Discrepancy(series.kind, torque, series, variable == "motor_speed")
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
         """Variable, period, and whether the torque reverses with the speed."""
@@ -515,7 +533,26 @@ class InverseView(View):
         yield from (("load_angle", load_period, reverses) for reverses in (False, True))
         if self._longest_rad >= turn and (self.phases_shared or len(self.rows.recordings) == 1):
             yield "motor_angle", turn, False
-        yield from (("motor_speed", 4.0 * fastest, reverses) for reverses in (False, True))
+        yield "motor_speed", 4.0 * fastest, False
+
+    @cached_property
+    def _spring(self) -> Discrepancy:
+        """A torque in proportion to the load's angle, as of a cable, a hose or a spring.
+
+        Apart from the other torques over this angle, because most of it looks like gravity. Where
+        gravity is fitted, it may be a share of that, and where it vanishes is unknown.
+        """
+        ratio, own = self.bench.value("gear_ratio"), 0.0
+        angles = np.concatenate([part.motion.angle for part in self.used])
+        low, high = float(angles.min()), float(angles.max())
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        columns = [self._torque("spring", lambda motion: (motion.angle - middle) / ratio**2)]
+        if GRAVITY in self.unknown:
+            shown = self.rows.shown
+            weight = self.bench.value(GRAVITY) * self._parameter(GRAVITY)[shown]
+            own = math.sqrt(float(np.mean(weight**2)))
+            columns.append(self._torque("rest", lambda m: np.full_like(m.angle, half / ratio**2)))
+        return Discrepancy(SPRING, np.column_stack(columns), is_form=True, own=own)
 
     def _drift(self) -> Discrepancy:
         """A torque that drifts in each fitted recording."""
@@ -528,15 +565,24 @@ class InverseView(View):
         columns = self._compared("drift", waves) * self.rows.used[:, None]
         return Discrepancy("time", self.rows.by_recording(columns))
 
+    def _between_recordings(self) -> Iterator[Discrepancy]:
+        """Departures of each recording's friction from its mean over the recordings."""
+        recordings = len(self.rows.recordings)
+        for name in (n for n in DRIFTING if n in self.laws and recordings > 1):
+            signal = self._signal(name, {self.laws[name].amplitude: 1.0})
+            apart = np.eye(recordings) - 1.0 / recordings
+            columns = self.rows.by_recording(signal[:, None]) @ apart
+            yield Discrepancy(f"{name}_between_recordings", columns, of=name)
+
     # Towards the fit
 
     def coarse(self) -> InverseView:
-        """The view with width, orders and lines."""
-        return self._with_width()._with_lines()
+        """The view with width, recorder, orders and lines."""
+        return self._with_width()._with_recorder()._with_width()._with_lines()
 
     def prepared(self) -> InverseView:
-        """The view with width, orders, lines and the slope of a skew."""
-        return self.coarse()._with_slope()
+        """The view with width, orders, lines and the slopes of the recorder."""
+        return self.coarse()._with_slopes()
 
     def refined(self, inference: Inference) -> InverseView:
         """The view at the posterior's skew, parameters and shapes."""
@@ -555,17 +601,20 @@ class InverseView(View):
         fitted |= {n: values[n][n].value for n in (*INERTIAS, GRAVITY) if n in values}
         fitted = {name: self.bench.value(name) + change for name, change in fitted.items()}
         bench = self.bench.with_parameters(**{k: v for k, v in fitted.items() if v > 0.0})
-        skew = next(iter(values[SKEW].values())).value if SKEW in values else 0.0
+        recorder = Recorder()
+        if SKEW in values:
+            (delay,) = values[SKEW].values()
+            recorder = Recorder(delay.value, max(inference.change(SMOOTHING).value, 0.0))
         view = replace(
             self,
             shapes=shapes,
             orders=orders,
             lines=lines,
             columns_bench=bench,
-            skew_s=skew,
+            recorder=recorder,
             discrepancy=inference.discrepancy(),
         )
-        return view._with_width()._with_slope()
+        return view._with_width()._with_slopes()
 
     def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
         """Grid of a shape between the neighbours of its posterior mean."""
@@ -595,7 +644,8 @@ class InverseView(View):
 
     @cached_property
     def _linear(self) -> FloatArray:
-        """Columns of nuisances, effects with one linear amplitude, and motor orders, (N, p)."""
+        """Columns of nuisances, effects with one linear amplitude, forms, and motor orders, last,
+        (N, p)."""
         columns = [column[:, None] for column in self._nuisances.values()]
         for name, law in self.laws.items():
             if name == SKEW or effect_named(name).is_periodic:
@@ -603,7 +653,9 @@ class InverseView(View):
             if law.scanned is None and not law.linear:
                 columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
         waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
-        return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves])
+        torques = (*self._torques(FORM_ORDERS), self._spring)
+        forms = (torque.columns for torque in torques if torque.is_form)
+        return np.hstack([np.zeros((self.base.size, 0)), *columns, *forms, *waves])
 
     @cached_property
     def _by_linear(self) -> FloatArray:
@@ -622,22 +674,74 @@ class InverseView(View):
             return self
 
         def cost(width: float) -> float:
-            fitted = replace(self, width=width).fitted()
-            residual = self.rows.measured - self.discrepancy - fitted
-            return float(np.sum(residual[self.rows.shown] ** 2))
+            return replace(self, width=width)._misfit
 
         return replace(self, width=_minimum(cost, [self.speed_rad_per_s * w for w in WIDTH_GRID]))
 
-    def _with_slope(self) -> InverseView:
-        """The view with the change of the linear fit per second of skew, if one is sought."""
+    def _with_recorder(self) -> InverseView:
+        """The view with the recorder that fits best, by Gauss-Newton with the linear fit.
+
+        If it leaves more than half of what the fit without one leaves, it is small, and the search
+        may start without.
+        """
+        view = self._with_slopes()
+        for _ in range(RECORDER_ROUNDS):
+            if view.slopes is None:
+                return self
+            shown = view.rows.shown
+            matrix = np.hstack([view._linear, view.slopes])[shown]
+            residual = (view.rows.measured - view.discrepancy - view.base)[shown]
+            by_delay, by_smoothing = least_squares(matrix, residual)[-2:]
+            step, old = 1.0, view._misfit
+            while step > RECORDER_STEP:
+                delay = view.recorder.delay_s + step * by_delay
+                smoothing = max(0.0, view.recorder.smoothing_s2 + step * by_smoothing)
+                other = replace(view, recorder=Recorder(delay, smoothing), cache={})
+                if other._misfit < old:
+                    break
+                step *= 0.5
+            else:
+                break
+            view = other._with_slopes()
+            if other._misfit > (1.0 - RECORDER_STEP) * old:
+                break
+        return replace(view, slopes=None) if view._misfit < 0.5 * self._misfit else self
+
+    @cached_property
+    def _misfit(self) -> float:
+        """Sum of squares that the linear fit leaves in the shown rows."""
+        residual = self.rows.measured - self.discrepancy - self.fitted()
+        return float(np.sum(residual[self.rows.shown] ** 2))
+
+    def _with_slopes(self) -> InverseView:
+        """The view with the change of the linear fit by the recorder, if a skew is sought.
+
+        Smoothing makes a ripple smaller, and at one speed it would stand for the whole ripple. The
+        size of a ripple is free, so smoothing acts on the rest only.
+        """
         if SKEW not in self.laws:
             return self
+        delay, smoothing = self.recorder.delay_s, self.recorder.smoothing_s2
         step = 1e-2 / self.parts[0].window.low_pass.cutoff_hz
-        later, earlier = (
-            view.base + view._linear @ self._by_linear
-            for view in (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
-        )
-        return replace(self, slope=np.where(self.shown, (later - earlier) / (2.0 * step), 0.0))
+        pairs = [
+            (Recorder(delay + step, smoothing), Recorder(delay - step, smoothing), self.orders),
+            (Recorder(delay, smoothing + step**2), Recorder(delay, smoothing), ()),
+        ]
+        slopes = []
+        for more, less, orders in pairs:
+            views = (replace(self, recorder=r, orders=orders, cache={}) for r in (more, less))
+            high, low = (
+                view.base + view._linear @ self._by_linear[: view._linear.shape[1]]
+                for view in views
+            )
+            width = more.delay_s - less.delay_s + more.smoothing_s2 - less.smoothing_s2
+            slopes.append(np.where(self.shown, (high - low) / width, 0.0))
+        return replace(self, slopes=np.stack(slopes, axis=1))
+
+    @property
+    def _usual_delay_s(self) -> float:
+        """Usual delay and smoothing of a recorder."""
+        return DELAY * self.parts[0].window.low_pass.period_s
 
     def _rests(self) -> list[OrderedRest]:
         """Residuals of the linear fit over the motor angle."""
@@ -779,9 +883,6 @@ def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
     )
     return float(optimum.x) if optimum.fun <= costs[best] else float(grid[best])
 
-
-LARGEST_SHARE = 0.01
-"""Largest share of noise in the power of the acceleration. It lowers the inertia by as much."""
 
 BANDS_PER_OCTAVE = 3
 FEWEST_LINES = 10

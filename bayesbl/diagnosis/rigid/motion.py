@@ -15,14 +15,12 @@ recording was sampled.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import fft
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation
 
 from bayesbl.bench.effect_declaration import RigidMotion
@@ -38,11 +36,69 @@ from bayesbl.recording.types import (
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 FILTER_ORDER = 4
+RECORDER_REACH = 8.0
+"""Time constants after which a recorder has forgotten a value: 0.03 % remain."""
+
 FADE_PERIODS = 4.0
 """Periods of the cut-off over which the continuation beyond the ends fades: twice the filter's
 reach."""
 END_PERIODS = 2.0
 """Reach of the filter from the ends of a recording, in periods of the cut-off."""
+
+
+def _filtered(
+    values: FloatArray,
+    period_s: float,
+    fade_s: float,
+    response: Callable[[FloatArray], ComplexArray],
+) -> tuple[FloatArray, float, FloatArray]:
+    """Line from the first to the last value, (n,); its slope; and the filtered deviation, (n,).
+
+    The deviation is continued oddly at both ends, with a steady slope, and fades out.
+    """
+    n = values.size
+    slope = (values[-1] - values[0]) / ((n - 1) * period_s)
+    line = values[0] + slope * period_s * np.arange(n)
+    residual = values - line
+    more = min(n - 1, math.ceil(fade_s / period_s))
+    fade = np.cos(0.5 * math.pi * np.arange(1, more + 1) / more) ** 2
+    before, after = -residual[1 : more + 1] * fade, -residual[-2 : -more - 2 : -1] * fade
+    size = fft.next_fast_len(n + 2 * more, real=True)
+    around = np.concatenate((residual, after, np.zeros(size - n - 2 * more), before[::-1]))
+    spectrum = fft.rfft(around) * response(fft.rfftfreq(size, period_s))
+    return line, slope, np.asarray(fft.irfft(spectrum, size)[:n])
+
+
+@dataclass(frozen=True, slots=True)
+class Recorder:
+    """What a drive does to a channel before it is recorded: a delay d, and smoothing.
+
+        ln H = −iωd − ω²s²/2 + …,     H = exp(−iω(d − s)) / (1 + iωs)
+
+    A low pass with time constant T has d = s = T, a mean over T has d = T/2 and s = T/√12.
+    ``smoothing_s2``: s², s². The response is linear in it, so that its sign is no special case.
+    """
+
+    delay_s: float = 0.0
+    smoothing_s2: float = 0.0
+
+    def __call__(self, values: FloatArray, period_s: float) -> FloatArray:
+        """A true signal as it is recorded, (n,)."""
+        if not (self.delay_s or self.smoothing_s2):
+            return values
+        time = math.sqrt(max(self.smoothing_s2, 0.0))
+        reach = abs(self.delay_s) + RECORDER_REACH * time
+
+        def response(frequency: FloatArray) -> ComplexArray:
+            omega = 2.0 * math.pi * frequency
+            if self.smoothing_s2 <= 0.0:
+                smooth = np.exp(0.0 * omega)
+            else:
+                smooth = np.exp(1j * omega * time) / (1.0 + 1j * omega * time)
+            return np.asarray(smooth * np.exp(-1j * omega * self.delay_s))
+
+        line, slope, made = _filtered(values, period_s, max(reach, 2.0 * period_s), response)
+        return np.asarray(line - slope * self.delay_s + made)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,23 +118,13 @@ class LowPass:
         return self.derivative(values, 0)
 
     def derivative(self, values: FloatArray, times: int = 1) -> FloatArray:
-        """Derivative of the low-passed values, same shape (n,).
-
-        The deviation from a straight line between the first and last sample is continued oddly at
-        both ends, with a steady slope, and fades out.
-        """
-        n = values.size
-        slope = (values[-1] - values[0]) / ((n - 1) * self.period_s)
-        line = values[0] + slope * self.period_s * np.arange(n)
-        residual = values - line
-        more = min(n - 1, math.ceil(FADE_PERIODS / (self.cutoff_hz * self.period_s)))
-        fade = np.cos(0.5 * math.pi * np.arange(1, more + 1) / more) ** 2
-        before, after = -residual[1 : more + 1] * fade, -residual[-2 : -more - 2 : -1] * fade
-        size = fft.next_fast_len(n + 2 * more, real=True)
-        around = np.concatenate((residual, after, np.zeros(size - n - 2 * more), before[::-1]))
-        frequency = fft.rfftfreq(size, self.period_s)
-        gain = (2.0j * math.pi * frequency) ** times * self._gain(frequency)
-        made = fft.irfft(fft.rfft(around) * gain, size)[:n]
+        """Derivative of the low-passed values, same shape (n,)."""
+        line, slope, made = _filtered(
+            values,
+            self.period_s,
+            FADE_PERIODS / self.cutoff_hz,
+            lambda f: np.asarray((2.0j * math.pi * f) ** times * self._gain(f), complex),
+        )
         return np.asarray(made + (line, slope, 0.0)[times])
 
     def of_white_noise(self, step: int, lags: int) -> FloatArray:
@@ -105,21 +151,6 @@ class Motion(RigidMotion):
 
     source: str = "position"
 
-    def shifted(self, time_s: float) -> Motion:
-        """The motion ``time_s`` earlier; beyond the recording, it keeps its first or last values.
-
-        Splines of degree 7: linear interpolation would smooth the acceleration's noise, so that a
-        shift by half a sample would fit better than none.
-        """
-        when = np.clip(self.time_s - time_s, self.time_s[0], self.time_s[-1])
-        degree = min(7, (self.time_s.size - 1) // 2 * 2 - 1)
-
-        def at(values: Any) -> Any:
-            return make_interp_spline(self.time_s, values, k=degree)(when)
-
-        moved = {n: at(getattr(self, n)) for n in ("angle", "speed", "acceleration", "sway")}
-        return replace(self, **moved)
-
 
 def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     """Motion from position, or from speed without position.
@@ -141,7 +172,7 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     position = recording.channels.get(MOTOR_POSITION)
     if position is not None:
         angle, speed = low_pass(position), low_pass.derivative(position)
-        acceleration = low_pass.derivative(position, 2)
+        acceleration = low_pass.derivative(resolved(position, 2), 2)
         sway = _sway(angle, low_pass)
         return Motion(recording.time_s, angle, speed, acceleration, sway)
     measured = recording.channels.get(MOTOR_SPEED)
@@ -155,9 +186,42 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     speed = measured / RPM_PER_RAD_PER_S
     smooth = low_pass(speed)
     angle = np.asarray(cumulative_trapezoid(smooth, dx=period, initial=0.0))
-    acceleration = low_pass.derivative(speed)
+    acceleration = low_pass.derivative(resolved(speed, 1))
     sway = _sway(angle, low_pass)
     return Motion(recording.time_s, angle, smooth, acceleration, sway, source="speed")
+
+
+LARGEST_SHARE = 0.01
+"""Largest share of noise in the power of the acceleration. It lowers the inertia by as much."""
+
+BAND = 2.0**0.25
+"""Half-width of the band in which a signal is compared with its noise, as a ratio."""
+
+
+def resolved(values: FloatArray, times: int) -> FloatArray:
+    """The part of evenly sampled values that stands out of their white noise, (n,).
+
+    Noise in the acceleration would lower the inertia, most at high frequencies, as a filter of the
+    torque does. The mean of the true signal, given the noisy one, does neither (regression
+    calibration; Wiener 1949): 1 − noise/power, with the power of a band. ``times``: derivatives
+    that follow. Where noise is a large share of these, the noise of encoder steps is not white
+    enough to be subtracted, and nothing is left.
+    """
+    straight = np.linspace(values[0], values[-1], values.size)
+    # The sines continue a signal oddly at its ends, as the filter does. A taper would not, and the
+    # ends would ring in the acceleration.
+    spectrum = np.concatenate([[0.0], fft.dst((values - straight)[1:-1], 1)])
+    power, noise = spectrum**2, 2.0 * (values.size - 1) * noise_of(values) ** 2
+    line = np.arange(1, power.size)
+    first = np.floor(line / BAND).astype(int)
+    last = np.minimum(np.ceil(line * BAND).astype(int) + 1, power.size)
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    level = np.maximum((total[last] - total[first]) / (last - first), np.finfo(float).tiny)
+    share = np.maximum(0.0, 1.0 - noise / level)
+    rise = (line / power.size) ** (2.0 * times)
+    share[np.cumsum(rise) * noise > LARGEST_SHARE * np.cumsum(rise * power[1:])] = 0.0
+    straight[1:-1] += fft.idst(share * spectrum[1:], 1)
+    return straight
 
 
 def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:
