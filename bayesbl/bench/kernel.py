@@ -17,8 +17,8 @@ control must see their error.
 Integrator: Dormand-Prince 5(4) with its fourth-order dense output. Steps end where the contact
 changes (at Δθ = ±δ, and for the arctan form also at Δθ = 0, where eq. 2's smoothed torque jumps)
 and at the ticks of a sampled controller. The region is fixed within a step, so the right-hand side
-is smooth there. Between two ticks, far from an edge, a bench with friction alone is linear, and is
-solved exactly.
+is smooth there. Between two ticks, far from edges and reversals, a bench with friction alone is
+nearly linear: its linear part is solved exactly, gravity along its tangent.
 
 A held output is a load of infinite inertia; the drive's reference is then its torque.
 """
@@ -1229,6 +1229,16 @@ def whole_tick(y, period, region, later_torque, rows, c, y_new):  # type: ignore
 
 
 @_inlined
+def is_reversed(y, y_new, c):  # type: ignore[no-untyped-def]
+    """Whether motor or load, and with them dry friction, reversed between two states."""
+    if not (c.effects or c.motor_coulomb != 0.0 or c.load_coulomb != 0.0):
+        return False
+    before = y[MOTOR_SPEED] - c.ratio * y[TWIST_SPEED]
+    after = y_new[MOTOR_SPEED] - c.ratio * y_new[TWIST_SPEED]
+    return not (y[MOTOR_SPEED] * y_new[MOTOR_SPEED] > 0.0 and before * after > 0.0)
+
+
+@_inlined
 def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
     """Whether a state is far from the edges of its contact region and from reversal."""
     if not c.rigid and c.gap > 0.0:
@@ -1619,7 +1629,7 @@ def integrate(  # type: ignore[no-untyped-def]
             reach = margin + period * abs(y[TWIST_SPEED])
             turned = c.direction * (y_new[MOTOR_ANGLE] * c.per_ratio - y_new[TWIST] - stop_angle)
             whole = turned < 0.0 and abs(y_new[MOTOR_SPEED]) <= runaway
-            whole = whole and is_clear(y, region, reach, p, c)
+            whole = whole and is_clear(y, region, reach, p, c) and not is_reversed(y, y_new, c)
             whole = whole and is_clear(y_new, region, margin, p, c)
         is_short = whole
         if whole:
@@ -1653,6 +1663,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 )
                 is_short = turned < 0.0 and abs(y_new[MOTOR_SPEED]) <= runaway
                 is_short = is_short and is_clear(y_new, region, margin, p, c)
+                is_short = is_short and not is_reversed(y, y_new, c)
         fresh = False
         h_next, crossed, arrived = h, 0, False
         if not is_short:

@@ -52,7 +52,7 @@ MOST_PROPOSED = 256_000
 """Number of weighted draws of the surrogate. They take a second; emcee takes a minute."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
-"""Effective share of the draws above which weights correct the surrogate."""
+"""Effective share of the draws below which a surrogate is fitted again."""
 FEWEST_EFFECTIVE = 100.0
 """Below it the answer is withheld: at 100 draws, the actual level of a 90 % interval is 90 ± 3 %.
 

@@ -532,16 +532,20 @@ def _largest_hidden(
         min(end, _room(fit, sign * truth))
         for sign, end in ((1.0, unknown.high - expected), (-1.0, expected - unknown.low))
     )
-    size = min(norm, furthest) if reach > 0.0 else furthest
+    if reach == 0.0:
+        return HiddenChange(unknown.name, expected, furthest, 0.0)
+    size = min(norm, furthest)
     return HiddenChange(unknown.name, expected, size, abs(size * float(pull @ direction)))
 
 
 def _room(fit: SimulatedFit, direction: FloatArray) -> float:
-    """How far the unknowns can move in a direction before one leaves its range.
+    """How far the unknowns can move in a direction before one leaves its range surely.
 
-    Dry friction hides only where the viscous friction that it replaces remains positive.
+    Dry friction hides only where the viscous friction that it replaces remains positive. The point
+    is known to a standard deviation, so an unknown at its bound blocks no direction.
     """
-    ends = np.array([[u.low, u.high] for u in fit.model.unknowns])
+    sd = np.sqrt(np.diag(fit.covariance))
+    ends = np.array([[u.low, u.high] for u in fit.model.unknowns]) + np.outer(sd, (-1.0, 1.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         rooms = (
             np.where(direction < 0.0, ends[:, 0] - fit.point, ends[:, 1] - fit.point) / direction

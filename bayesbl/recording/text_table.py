@@ -348,7 +348,7 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
         for i, cell in enumerate(row):
             match = _STEP.match(cell)
             beside = row[i + 1 : i + 3]
-            if beside[1:] and not is_bare_number(beside[1]):  # the unit has a cell of its own
+            if beside[1:] and is_unit(spelled(beside[1].strip("[]() "))):  # in a cell of its own
                 beside = [" ".join(beside).strip()]
             for held in (match["value"], *beside[:1], *below[i : i + 1]) if match else ():
                 number, unit = parted(held.translate(dict.fromkeys(map(ord, "[]()"))))
@@ -637,10 +637,19 @@ def in_lines(head: Sequence[str]) -> list[str] | None:
     for separator in _SEPARATORS[:3]:
         rows = [_split(line, separator) for line in written]
         width = max(map(len, rows), default=0)
+        # A line that holds more than half of the cells is a channel that was cut off.
+        cut = [row for row in rows if width // 2 < len(row) < width and is_number(row[-1])]
         rows = [row for row in rows if len(row) == width]
         if 1 < len(rows) < width and all(
             is_number(row[-1]) and not is_value(row[0]) for row in rows
         ):
+            if cut:
+                raise RecordingError(
+                    "The channels, a line each, differ in length.",
+                    where=cut[0][0],
+                    found=f"{len(cut[0])} cells, {width} in other lines",
+                    expected="as many samples in every line",
+                )
             return [separator.join(cells) for cells in zip(*rows, strict=True)]
     return None
 

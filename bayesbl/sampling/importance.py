@@ -121,7 +121,7 @@ def independent_draws(
     if best is not None and most > proposed:
         # Twice as many as seem to suffice, because a larger sample shows more of a tail.
         enough = math.ceil(2.0 * least * proposed / best.effective)
-        for size in (min(enough, most), most):
+        for size in (min(max(enough, 2 * proposed), most), most):
             if best is not None and not best.is_good(least):
                 best = _proposal(target, best.peak, best.covariance, box, size, generator)
     if best is None or not best.is_good(least):

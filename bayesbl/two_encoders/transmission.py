@@ -760,6 +760,8 @@ def of_friction(paths: Paths) -> tuple[float, float, FloatArray]:
     """
     assert paths.torque_nm is not None
     columns, moves = of_motor(paths)
+    if not moves.any():  # the steps of a coarse encoder hide all motion
+        return 0.0, np.nan, np.zeros(paths.time_s.size)
     inertia, weight = columns[moves, 2], columns[moves, 3:]
     own_inertia = inertia - weight @ np.linalg.lstsq(weight, inertia, rcond=1e-6)[0]
     columns[:, 2] *= float(own_inertia @ own_inertia) > ALIKE * float(inertia @ inertia)

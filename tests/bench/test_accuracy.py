@@ -626,3 +626,23 @@ def test_the_gravity_angle_turns_the_posture() -> None:
 
 def test_parameter_vectors_have_a_place_for_everything() -> None:
     assert sorted(INDEX.values()) == list(range(SLOTS))
+
+
+@pytest.mark.parametrize("gap_rad", [0.0, 8e-4])
+@pytest.mark.parametrize("presliding_rad", [0.0, 1e-3])
+def test_a_reversal_within_a_tick_of_the_controller(gap_rad: float, presliding_rad: float) -> None:
+    """Dry friction turns with the motor, between two ticks too: as by adaptive steps.
+
+    A damping of next to nothing in the contact makes every step adaptive.
+    """
+    motion = cycle(120.0, (-0.05, 0.0513), 400.0, 40_000.0, 0.0, 1.5)
+    row = reference_bench().vector(gap_rad=gap_rad)[0].copy()
+    row[Slot.start_angle_rad] = motion.start_angle_rad
+    row[Slot.reference_speed_rpm] = 400.0
+    row[Slot.sampled_control__period_s], row[Slot.sampled_control__delay_periods] = 5e-4, 1.3
+    row[Slot.motor_coulomb_friction__torque_nm] = 0.5
+    row[Slot.motor_coulomb_friction__presliding_rad] = presliding_rad
+    both = np.repeat(row[None], 2, axis=0)
+    both[1, Slot.contact_damping__factor_s_per_rad] = 1e-12
+    speed_rpm = simulate_motions(both, motion, 1500, 1000.0)[:, 1]
+    assert np.abs(speed_rpm[0] - speed_rpm[1]).max() < 0.01

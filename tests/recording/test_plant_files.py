@@ -322,3 +322,18 @@ def test_what_a_historian_writes_for_no_value_is_a_lost_sample(tmp_path: Path) -
     path = written(tmp_path, "\n".join(["Tag,Timestamp,Value", *rows]))
     read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("J2.SPEED", "rpm")})
     np.testing.assert_allclose(read.motor_speed_rpm[:200], SPEED[:200])
+
+
+def test_a_line_of_a_channel_that_was_cut_off_is_refused(tmp_path: Path) -> None:
+    rows = {"time_s": TIME, "motor_speed_rpm": SPEED, "motor_current_a": CURRENT[:-1]}
+    lines_ = [",".join([name, *(f"{v:.6f}" for v in values)]) for name, values in rows.items()]
+    path = written(tmp_path, "\n".join(lines_))
+    with pytest.raises(RecordingError, match="differ in length"):
+        read_recording(path)
+
+
+def test_a_step_is_stated_beside_other_keys(tmp_path: Path) -> None:
+    head = ["Sample Interval,0.001,Record Length,400", "motor_speed_rpm,motor_current_a"]
+    rows = [f"{n:.6f},{a:.6f}" for n, a in zip(SPEED, CURRENT, strict=True)]
+    read = read_recording(written(tmp_path, "\n".join([*head, *rows])))
+    assert read.sampling_period_s == pytest.approx(1e-3)
