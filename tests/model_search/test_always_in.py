@@ -660,8 +660,9 @@ def test_the_fit_that_answers_is_the_one_that_was_checked(
     monkeypatch: pytest.MonkeyPatch, explains: bool
 ) -> None:
     """A one-sided fit explains the recordings; with central differences it may not."""
+    model = SimpleNamespace(unknowns=())
     nominal, one_sided, central = (
-        SimpleNamespace(model=None, point=None, steps=None, chi_square=0.0) for _ in range(3)
+        SimpleNamespace(model=model, point=None, steps=None, chi_square=0.0) for _ in range(3)
     )
     one_sided.without_derivatives = lambda: one_sided
     checked = {id(nominal): False, id(one_sided): True, id(central): explains}
