@@ -260,8 +260,8 @@ def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) 
 def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
     """Fit the bench within its tolerances where it is valid, with the effects asked for by name.
 
-    If nothing explains the recordings, standstills are left out to name what is missing: no law of
-    the catalogue describes friction at rest, which every joint has.
+    If nothing explains the recordings, standstills are left out to name what is missing: friction
+    at rest has any value up to a limit, which no law of the catalogue has.
     """
     stage = of_stage(progress, "Fitting the bench")
     fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, stage)

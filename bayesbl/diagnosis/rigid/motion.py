@@ -76,7 +76,7 @@ class Recorder:
         ln H = −iωd − ω²s²/2 + …,     H = exp(−iω(d − s)) / (1 + iωs)
 
     A low pass with time constant T has d = s = T, a mean over T has d = T/2 and s = T/√12.
-    ``smoothing_s2``: s², s². The response is linear in it, so that its sign is no special case.
+    ``smoothing_s2``: s², s²; none where it is negative.
     """
 
     delay_s: float = 0.0
@@ -91,11 +91,8 @@ class Recorder:
 
         def response(frequency: FloatArray) -> ComplexArray:
             omega = 2.0 * math.pi * frequency
-            if self.smoothing_s2 <= 0.0:
-                smooth = np.exp(0.0 * omega)
-            else:
-                smooth = np.exp(1j * omega * time) / (1.0 + 1j * omega * time)
-            return np.asarray(smooth * np.exp(-1j * omega * self.delay_s))
+            delayed = np.exp(1j * omega * (time - self.delay_s))
+            return np.asarray(delayed / (1.0 + 1j * omega * time))
 
         line, slope, made = _filtered(values, period_s, max(reach, 2.0 * period_s), response)
         return np.asarray(line - slope * self.delay_s + made)
