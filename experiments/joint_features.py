@@ -21,8 +21,7 @@ from scipy.signal import lfilter
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.sweep import SweepSettings, sweep_nominal
-from bayesbl.measurement.joint_features import MEAN_CURRENT, features, harmonic_name
-from bayesbl.measurement.same_joint import same_joint
+from bayesbl.measurement.same_joint import MEAN_CURRENT, features, harmonic_name, same_joint
 from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate

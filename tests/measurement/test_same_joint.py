@@ -15,15 +15,19 @@ import bayesbl
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
-from bayesbl.measurement.joint_features import (
+from bayesbl.measurement.measurement import JointCheck
+from bayesbl.measurement.same_joint import (
+    COULD_BE,
+    FILTER,
     INTEGRAL,
+    LINE,
     MEAN_CURRENT,
     PROPORTIONAL,
+    change_reason,
     features,
     harmonic_name,
+    same_joint,
 )
-from bayesbl.measurement.measurement import JointCheck
-from bayesbl.measurement.same_joint import COULD_BE, FILTER, LINE, change_reason, same_joint
 from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
