@@ -8,7 +8,7 @@ same seed and code; ``--case N --keep FOLDER`` repeats it and keeps what it left
 What is done to files stands in tables, a line each: ``damage.BYTES`` for any file,
 ``recordings.SAME``, ``STRUCTURE`` and ``VALUES``, ``results.CHANGES``, ``unfinished.ACTS``,
 ``configurations.EDITS`` and its sisters, ``commands.NAMES``, ``MISSING``, ``OUTPUTS``,
-``COLLISIONS`` and ``STUDY_FILES``, ``own_process.CASES``.
+``COLLISIONS`` and ``STUDY_FILES``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
 TESTS = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(TESTS), str(TESTS / "support")]  # the writer of bags is there
 
-from attack import commands, configurations, own_process, recordings, results, unfinished  # noqa: E402
+from attack import commands, configurations, recordings, results, unfinished  # noqa: E402
 from attack.engine import (  # noqa: E402
     HANG,
     HARM,
@@ -64,7 +64,6 @@ def all_groups(originals: Originals) -> list[Group]:
         configurations.group(),
         commands.group(),
         commands.files_group(),
-        own_process.GROUP,
     ]
 
 

@@ -50,7 +50,7 @@ def table(tmp_path_factory):
         "curve": str(folder / "result.nc"),
         "gap_rad": 8e-4,
         "changes_rad": [0.0, 3e-4],
-        "pairs": 2,
+        "cases": 2,
         "speed_noise_sd_rpm": 0.5,
         "rotations": 2.2,
         "sampling_hz": 500.0,
