@@ -28,7 +28,9 @@ import numba
 import numpy as np
 from scipy import signal, special
 
+from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
@@ -738,6 +740,11 @@ def moving(
     return out
 
 
+def values_of(bench: Bench) -> dict[str, float]:
+    """Parameters of a bench by name, as :func:`plant` takes them."""
+    return {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
+
+
 def plant(values: Mapping[str, float], **settings: float) -> Plant:
     """From bench parameters by name, effects as ``effect.parameter`` or ``effect__parameter``.
 
@@ -994,12 +1001,10 @@ def _lose_samples(
 def _main() -> None:
     from time import perf_counter
 
-    from bayesbl.bench.parameters import BENCH_PARAMETERS
     from bayesbl.config.bench import reference_bench
 
     bench = reference_bench()
-    every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
-    values = {name: value for name, (value, default) in every.items() if value != default}
+    values = values_of(bench)
     common: dict[str, Any] = {
         "gap_rad": 8e-4,
         "start_angle_rad": 0.4,

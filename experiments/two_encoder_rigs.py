@@ -12,24 +12,20 @@ encoder faults and seeds anew.
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
-
-from bayesbl.two_encoders.paths import Channels
-
-sys.path.append(str(Path(__file__).parent))
-
+from pydantic import Field
+from study_tools import StudyRow
 from two_encoders import COLUMNS as COLUMNS
 from two_encoders import Joint, scored
 from two_encoders import summarise as summarised
+
+from bayesbl.two_encoders.paths import Channels
 
 Array = NDArray[np.float64]
 
@@ -154,22 +150,15 @@ RIGS = MappingProxyType(
 )  # fmt: skip
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: which rig."""
 
-    model_config = ConfigDict(extra="forbid")
-
     rig: str = Field(pattern="|".join(f"^{name}$" for name in RIGS))
-    cases: int = Field(ge=1)
 
     @property
     def play(self) -> bool:
         """Whether it has any."""
         return RIGS[self.rig].play > 0.0
-
-
-def count(row: Row) -> int:
-    return row.cases
 
 
 def reference(rig: Rig, amplitude: float, period: float, generator: np.random.Generator) -> Array:
