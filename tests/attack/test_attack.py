@@ -17,7 +17,6 @@ CORE = {
     "recordings, damaged": 40,
     "results, damaged": 30,
     "configurations that it wrote": 10,
-    "unfinished work, damaged": 3,
     "configurations": 30,
     "commands": 15,
     "files": 6,

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from attack import commands, configurations, own_process, recordings, results, unfinished
+from attack import commands, configurations, own_process, recordings, results
 from attack.engine import HARM, Finding, Prepare, Trial
 from attack.workshop import (
     CONFIGURATIONS,
@@ -205,21 +205,6 @@ def test_check_asks_what_run_asks(name: str, findings: Findings) -> None:
 @pytest.mark.parametrize("name", commands.STUDY_FILES)
 def test_a_study_file_that_fails_is_named(name: str, findings: Findings) -> None:
     assert not findings(commands.study_file(commands.STUDY_FILES[name]))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("kind", "act"),
-    [
-        ("study", "a line of garbage"),
-        ("study", "a line that is foreign"),
-        ("fit", "archives of other arrays"),
-    ],
-)
-def test_finished_work_that_is_not_its_own_is_not_used(
-    kind: str, act: str, originals: Originals, findings: Findings
-) -> None:
-    assert not findings(unfinished.resumed(originals, kind, unfinished.ACTS[act]))
 
 
 # 11
