@@ -6,7 +6,7 @@ leaves a hidden file, or refuses without naming the file. Case number N is alway
 same seed and code; ``--case N --keep FOLDER`` repeats it and keeps what it left.
 
 What is done to files stands in tables, a line each: ``damage.BYTES`` for any file,
-``recordings.SAME``, ``STRUCTURE`` and ``VALUES``, ``results.CHANGES``,
+``recordings.SAME``, ``STRUCTURE`` and ``VALUES``,
 ``configurations.EDITS`` and its sisters, ``commands.NAMES``, ``MISSING``, ``OUTPUTS``,
 ``COLLISIONS`` and ``STUDY_FILES``.
 """
@@ -29,7 +29,7 @@ for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
 TESTS = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(TESTS), str(TESTS / "support")]  # the writer of bags is there
 
-from attack import commands, configurations, recordings, results  # noqa: E402
+from attack import commands, configurations, recordings  # noqa: E402
 from attack.engine import (  # noqa: E402
     HANG,
     HARM,
@@ -58,9 +58,8 @@ def all_groups(originals: Originals) -> list[Group]:
     return [
         recordings.HARMLESS,
         recordings.DAMAGED,
-        results.Cases(originals).group(),
-        results.written_files(originals),
         configurations.group(),
+        configurations.written_files(originals),
         commands.group(),
         commands.files_group(),
     ]

@@ -15,7 +15,6 @@ SEED = 16
 CORE = {
     "recordings, same samples": 40,
     "recordings, damaged": 40,
-    "results, damaged": 30,
     "configurations that it wrote": 10,
     "configurations": 30,
     "commands": 15,
