@@ -14,7 +14,7 @@ import numpy as np
 
 from attack.damage import BYTES, Damage
 from attack.engine import DONE, OTHER, WITHHELD, WRONG, Ended, Finding, Group, Prepare, Trial
-from attack.workshop import CONFIGURATIONS, Originals, put_configuration
+from attack.workshop import CONFIGURATIONS, RESULTS, Originals, put_configuration
 
 KINDS = tuple(CONFIGURATIONS)
 RUN_SHARE = 0.4
@@ -357,7 +357,7 @@ def written_configuration(originals: Originals, damage: Damage) -> Prepare:
     """The configuration as it ran, damaged: people edit it, so it need not be what it was."""
 
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
-        kind = originals.kinds[int(rng.integers(len(originals.kinds)))]
+        kind = str(rng.choice(RESULTS))
         file = originals.copy(kind, place) / "config.toml"
         file.write_bytes(damage(file.read_bytes(), rng))
         return Trial([("check", str(file.relative_to(place)))], names=["config.toml", "study.py"])

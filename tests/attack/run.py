@@ -42,7 +42,7 @@ from attack.engine import (  # noqa: E402
     Result,
     run_all,
 )
-from attack.workshop import RESULTS, Originals  # noqa: E402
+from attack.workshop import Originals  # noqa: E402
 
 HEADINGS = {
     TRACEBACK: "tracebacks",
@@ -109,12 +109,6 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", metavar="GROUP", help="groups whose name holds this text")
     parser.add_argument("--case", type=int, action="append", metavar="N", help="repeat this case")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep what failing cases left")
-    parser.add_argument(
-        "--kinds",
-        default=",".join(RESULTS),
-        help="damage results of these kinds alone; numbers then mean other cases",
-    )
-    parser.add_argument("--again", action="store_true", help="use the originals kept in FOLDER")
     return parser.parse_args(arguments)
 
 
@@ -127,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for path in (folder, Path(temporary)):
             path.chmod(0o755)  # cases that give up root's rights work below it
         begin = time.monotonic()
-        originals = Originals(folder / "originals", options.kinds.split(","), again=options.again)
+        originals = Originals(folder / "originals")
         print(f"Originals made in {time.monotonic() - begin:.0f} s.", flush=True)
         attack = Attack(all_groups(originals), options.seed)
         numbers = options.case or chosen(attack, options.cases, options.only)
