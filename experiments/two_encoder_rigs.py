@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import xarray as xr
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 from study_tools import StudyRow
 from two_encoders import COLUMNS as COLUMNS
 from two_encoders import Joint, scored
-from two_encoders import summarise as summarised
+from two_encoders import summarise as summarise
 
 from bayesbl.two_encoders.paths import Channels
 
@@ -290,7 +289,3 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
     made_seed, fit_seed = seed.spawn(2)
     joint, channels = simulated(RIGS[row.rig], np.random.default_rng(made_seed))
     return scored(joint, channels, fit_seed)
-
-
-def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
-    return summarised(row, cases)
