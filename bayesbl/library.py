@@ -267,9 +267,9 @@ def read_result(path: File) -> Result:
         If there is no readable, finished result.
     """
     from bayesbl.presentation.result_object import result_of
-    from bayesbl.runs.kinds import read_result as read
+    from bayesbl.results.store import read_tree
 
-    return result_of(read(path))
+    return result_of(read_tree(path))
 
 
 @checked

@@ -10,9 +10,11 @@ import importlib.util
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 
 import pytest
+from mosquitto import Broker, mosquitto_is_installed
 from places import EXPERIMENTS
 from quick import without_figures
 
@@ -72,6 +74,18 @@ def no_figures() -> Iterator[None]:
     """Runs of this test write no figures."""
     with without_figures():
         yield
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    """A running broker, empty at first."""
+    pytest.importorskip("paho.mqtt")
+    if not mosquitto_is_installed():
+        pytest.skip("needs mosquitto: apt-get install mosquitto")
+    made = Broker(tmp_path / "broker")
+    made.start()
+    yield made
+    made.stop()
 
 
 @pytest.fixture(scope="session")
