@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import TIME
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import is_unit, spelled
+from bayesbl.units import OTHER_UNITS, is_unit, plain_letters, spelled
 
 MISSING = frozenset(
     "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
-    "|#num!|-|--|---|?|missing|∞|-∞|bad input|bad data|no data|i/o timeout|comm fail".split("|")
+    "|#num!|-|--|---|?|missing|∞|-∞".split("|")
 )
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -66,9 +66,12 @@ def number_in(cell: str, mark: str) -> float | None:
 
 
 def parted(cell: str) -> tuple[str, str]:
-    """Number and unit of a cell; the whole cell and no unit if the unit is unknown."""
+    """Number and unit of a cell; the whole cell and no unit if what follows is no word for one."""
     held = _WITH_UNIT.fullmatch(cell)
-    return (held[1], held[2]) if held and is_unit(spelled(held[2])) else (cell, "")
+    if held is None:
+        return cell, ""
+    is_known = is_unit(spelled(held[2])) or held[2] in ("%", "‰")
+    return held.groups() if is_known or plain_letters(held[2]) in OTHER_UNITS else (cell, "")
 
 
 def is_number(cell: str) -> bool:
@@ -144,6 +147,7 @@ def _stamp(text: str) -> re.Match[str] | None:
     """Match date or time; months may be named: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
     text = _COMPACT.sub(r"\1-\3-\4T\5:\7:\8", text)
     text = re.sub(r"^(\d{1,2}:\d\d[.,]\d+)$", r"0:\1", text)  # minutes and seconds
+    text = re.sub(r"^(\D+ \d\d?) ([\d:.,]+) (\d{4})$", r"\1, \3 \2", text)  # of asctime
     named = _NAMED_MONTH.match(text)
     if named and bool(named[1]) != bool(named[3]):
         month = _OTHER_MONTHS.get(named[2].lower(), named[2].lower())

@@ -133,8 +133,9 @@ _STEMS = frozenset(
 )
 """Words that compounds are made of."""
 
+_OF_CHANNELS = frozenset(word for words in _NAMES_OF.values() for word in words.split())
 _NO_JOINT = _STEMS.union(
-    *(words.split() for words in _NAMES_OF.values()),
+    _OF_CHANNELS,
     f"{_SIDES} {_FILTERED} {_ELECTRICAL} {_BESIDE} rms raw".split(),
 )
 """Words that distinguish sides of one joint, or values of one channel."""
@@ -187,6 +188,7 @@ _TURNING, _DRIVEN = (MOTOR_SPEED, MOTOR_POSITION), (MOTOR_CURRENT, MOTOR_TORQUE)
 
 _SIDES_ALIKE = 2.5  # largest ratio of the torques of both directions of ramps
 _STANDSTILL_RPM = 1.0
+_FASTEST_JOINT_RPM = 120.0  # 720 °/s: only small wrists are faster, and hardly any motor as slow
 _TURNS_BACK = 1.5  # path over distance of a motor that moves to and fro
 _FOLLOWS = 0.5  # share of a position's variance that another position of the same joint explains
 _IS_INTEGRAL = 0.95  # the same share for a position and the integral of its speed
@@ -374,7 +376,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
                 "No column looks like time.",
                 where="header",
                 found=", ".join(f'"{name}"' for name in table.columns),
-                expected=f'a column "{TIME}", or another name for it under [columns]',
+                expected=f'a column "{TIME}", or another name for it under [columns]; in a text with '
+                'even samples, a line "Sampling time, 1 ms" above them will do',
             )
         chosen[TIME] = paired[TIME] = increasing
     both = not ramps and _is_of_two_encoders(paired)
@@ -439,6 +442,7 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     """
     bare = [stated_unit(table, name).bare for name in table.columns]
     groups = [name.rpartition("/")[0] for name in bare]
+    groups = [g if _words(g) - _OF_CHANNELS else "" for g in groups]  # Drehzahl/Speed
     if not any(groups):
         groups = _names_of_joints(table)
     motors = {_without(group, _SIDES) for group in groups if _words(group) & {*_MOTOR.split()}}
@@ -636,8 +640,8 @@ def _of_sides(
 def _of_motor(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> list[GuessedColumn]:
-    """The speed is needed, or else the position. A speed that is slow for a motor is doubted: ROS
-    logs that of the joint. The unit of an axis is asked for."""
+    """The speed is needed, or else the position. What is slow for a motor may be of the joint, as in
+    ROS: it is asked for, or doubted in rpm. The unit of an axis is asked for."""
     main = MOTOR_SPEED if any(c.channel == MOTOR_SPEED for c in columns) else MOTOR_POSITION
     columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
     for channel in {MOTOR_SPEED, MOTOR_POSITION} & chosen.keys():
@@ -658,14 +662,20 @@ def _of_motor(
     else:
         ways = np.abs(np.diff(known)).sum(axis=1)
         rpm = RPM_PER_RAD_PER_S * float(ways[0] / ways[1]) if ways[1] else np.inf
-    if rpm >= _USUAL_SPEEDS_RPM[0]:
+    if rpm >= _FASTEST_JOINT_RPM:
         return columns
-    unit = next(column.unit for column in columns if column.channel == main)
-    asked = (
-        f"{rpm:.3g} rpm is slow for a motor: is it the joint's own, behind the gearbox? Of a gear "
-        f'of 120 the unit here is "120 {unit}"'
-    )
-    return _changed(columns, main, reason=asked, doubted=True)
+    for column in columns:
+        if column.channel not in _TURNING or column.unit == UNKNOWN:
+            continue
+        unit, is_rpm = column.unit, column.unit == "rpm"
+        asked = (
+            f"{rpm:.3g} rpm is slow for a motor: is it the joint's own, behind the gearbox? Of a "
+            f'gear of 120 the unit here is "120 {unit}", of the motor "{unit}"'
+        )
+        columns = _changed(
+            columns, column.channel, unit=unit if is_rpm else UNKNOWN, reason=asked, doubted=is_rpm
+        )
+    return columns
 
 
 def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
@@ -716,7 +726,7 @@ def _channel(column: _Named) -> str | None:
     words = column.words - {"q"} if column.is_called("i") else column.words
     # What stands before a point is a part of the drive: axis0.pos_vel_mapper.pos_rel. A letter
     # beside a word is its unit or its axis: force_N.
-    last = _words(column.stated.bare.rpartition(".")[2]) & words
+    last = _words(re.split(r"\.(?!\d)", column.stated.bare)[-1]) & words
     by_words = (
         [c for c, named in _NAMES_OF.items() if not of.isdisjoint(named.split())]
         for among in (last, words)
