@@ -70,8 +70,9 @@ def parted(cell: str) -> tuple[str, str]:
     held = _WITH_UNIT.fullmatch(cell)
     if held is None:
         return cell, ""
-    is_known = is_unit(spelled(held[2])) or held[2] in ("%", "‰")
-    return held.groups() if is_known or plain_letters(held[2]) in OTHER_UNITS else (cell, "")
+    is_unit_here = is_unit(spelled(held[2])) or held[2] in ("%", "‰")
+    is_other = plain_letters(held[2]) in OTHER_UNITS
+    return (held[1], held[2]) if is_unit_here or is_other else (cell, "")
 
 
 def is_number(cell: str) -> bool:

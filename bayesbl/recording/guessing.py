@@ -376,8 +376,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
                 "No column looks like time.",
                 where="header",
                 found=", ".join(f'"{name}"' for name in table.columns),
-                expected=f'a column "{TIME}", or another name for it under [columns]; in a text with '
-                'even samples, a line "Sampling time, 1 ms" above them will do',
+                expected=f'a column "{TIME}", or another name for it under [columns]; above even '
+                'samples in a text, the line "Sampling time, 1 ms" will do',
             )
         chosen[TIME] = paired[TIME] = increasing
     both = not ramps and _is_of_two_encoders(paired)
@@ -640,8 +640,8 @@ def _of_sides(
 def _of_motor(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> list[GuessedColumn]:
-    """The speed is needed, or else the position. What is slow for a motor may be of the joint, as in
-    ROS: it is asked for, or doubted in rpm. The unit of an axis is asked for."""
+    """The speed is needed, or else the position. What is slow for a motor may be of the joint, as
+    in ROS: it is asked for, or doubted in rpm. The unit of an axis is asked for."""
     main = MOTOR_SPEED if any(c.channel == MOTOR_SPEED for c in columns) else MOTOR_POSITION
     columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
     for channel in {MOTOR_SPEED, MOTOR_POSITION} & chosen.keys():

@@ -152,7 +152,7 @@ def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
     # What a dashboard scales by itself: 0.999 s comes after 998 ms.
     lines = [f"{1e3 * t:.0f} ms,{n:.3f}" if t < 0.3 else f"{t:.3f} s,{n:.3f}" for t, n in PAIRS]
     path.write_text(text(lines))
-    with pytest.raises(RecordingError, match=r"in different units.*ms and s"):
+    with pytest.raises(RecordingError, match=r"not known for this channel.*ms and s"):
         read_recording(path)
 
 
