@@ -210,43 +210,25 @@ def _of_stamp(
     ``days`` numbers ambiguous dates in the order in which they occur.
     """
     a, mark, b, c, hours, minutes, seconds, digits, half, zone = stamp.groups()
-    hour, minute, second = int(hours), int(minutes), int(seconds or 0)
-    if half:
-        if not 1 <= hour <= 12:
-            return None
-        hour = hour % 12 + (12 if half[0] in "Pp" else 0)
-    if hour > 23 or minute > 59 or second > 60:
+    hour, minute, second, count = int(hours), int(minutes), int(seconds or 0), 0
+    if hour > (12 if half else 23) or (half and not hour) or minute > 59 or second > 60:
         return None
-    count = 0
+    if half:
+        hour = hour % 12 + (12 if half[0] in "Pp" else 0)
     if a is not None:
-        text = f"{a}{mark}{b}{mark}{c}"
-        if text not in days:
-            dated = _ordinal(a, mark, b, c)
-            if dated is None:
-                return None
+        of_dots = (c if len(c) == 4 else f"20{c}", b, a) if mark == "." else None
+        order = (a, b, c) if len(a) == 4 else of_dots
+        try:
             # A date of open order is the day after the last one that was new.
-            days[text] = dated if dated else max(days.values(), default=0) + 1
-        count = days[text]
+            known = date(*map(int, order)).toordinal() if order else 0
+        except ValueError:
+            return None
+        count = days.setdefault(f"{a}{b}{c}", known or max(days.values(), default=0) + 1)
     total = count * _DAY_S + hour * 3600 + minute * 60 + second
     if zone and zone != "Z":
         size = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
         total -= size if zone[0] == "+" else -size
     return total, float(f"0.{digits or 0}"), (a is not None, zone is not None)
-
-
-def _ordinal(a: str, mark: str, b: str, c: str) -> int | None:
-    """Day number of a date; 0 if day and month may be exchanged, ``None`` if it is no date."""
-    try:
-        if len(a) == 4:
-            return date(int(a), int(b), int(c)).toordinal()
-        year = int(c) + (2000 if len(c) <= 2 else 0)
-        if mark == ".":
-            return date(year, int(b), int(a)).toordinal()
-        day, month = (int(a), int(b)) if int(a) > 12 else (int(b), int(a))
-        date(year, month, day)
-    except ValueError:
-        return None
-    return 0
 
 
 def seconds_of_calendar(times: NDArray[np.datetime64]) -> FloatArray:

@@ -249,9 +249,9 @@ def layout_of(
     units = units or _of_key(_UNITS, above_cells, width)
     both = zip_longest(stated[: len(names)], units, fillvalue="")
     units = tuple(of_cells or above for of_cells, above in both)
-    for scales in _rows_of_key(SCALES, above_cells, width):  # may have been applied or not
+    for scales in _rows_of_key(SCALES, above_cells, width):
         both = zip_longest(units, scales[: len(names)], fillvalue="")
-        units = tuple(f"{u} (scale {s})" if _is_scale(s) else u for u, s in both)
+        units = tuple(with_scales(unit, [scale]) for unit, scale in both)
     if heading[2] or not any(labels):
         labels = ()
     pairs = zip(labels, names, strict=False)
@@ -341,9 +341,12 @@ def _of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> tuple[str,
     return next(reversed(_rows_of_key(words, rows, width)), ())
 
 
-def _is_scale(cell: str) -> bool:
-    """Whether a factor or offset changes anything, with either decimal mark."""
-    return is_bare_number(cell) and not {number_in(cell, mark) for mark in ".,"} <= {None, 0.0, 1.0}
+def with_scales(unit: str, cells: Iterable[str]) -> str:
+    """A unit and the factors or offsets that change anything, applied already or not."""
+    for cell in filter(is_bare_number, cells):
+        if not {number_in(cell, mark) for mark in ".,"} <= {None, 0.0, 1.0}:
+            unit = f"{unit} (scale {cell})"
+    return unit
 
 
 def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
@@ -650,24 +653,24 @@ def in_lines(head: Sequence[str]) -> list[str] | None:
 
     ``None`` for any other text: the first line of a table does not end with a number.
     """
-    written = [line for line in head if line.strip()]
     for separator in _SEPARATORS[:3]:
-        rows = [_split(line, separator) for line in written]
-        width = max(map(len, rows), default=0)
-        # A line that holds more than half of the cells is a channel that was cut off.
-        cut = [row for row in rows if width // 2 < len(row) < width and is_number(row[-1])]
-        rows = [row for row in rows if len(row) == width]
-        if 1 < len(rows) < width and all(
-            is_number(row[-1]) and not is_value(row[0]) for row in rows
-        ):
-            if cut:
+        cut = [_split(line, separator) for line in head if line.strip()]
+        width = max(map(len, cut), default=0)
+        # A line that holds more than half of the cells is a channel, perhaps one that was cut off.
+        rows = [row for row in cut if len(row) > width // 2]
+        whole = sum(len(row) == width for row in rows)
+        named = all(is_number(row[-1]) and not is_value(row[0]) for row in rows)
+        if not (named and 1 < whole < width):
+            continue
+        for row in rows:
+            if len(row) < width:
                 raise RecordingError(
                     "The channels, a line each, differ in length.",
-                    where=cut[0][0],
-                    found=f"{len(cut[0])} cells, {width} in other lines",
+                    where=row[0],
+                    found=f"{len(row)} cells, {width} in other lines",
                     expected="as many samples in every line",
                 )
-            return [separator.join(cells) for cells in zip(*rows, strict=True)]
+        return [separator.join(cells) for cells in zip(*rows, strict=True)]
     return None
 
 

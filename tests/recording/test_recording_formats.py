@@ -250,7 +250,7 @@ def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_a
     path = write_bag(tmp_path / "slow.mcap", slow, TIME)
     speed = guess_columns(read_table(path)).columns[1]
     assert "behind the gearbox" in speed.reason
-    assert speed.doubted
+    assert speed.is_open
     sides = {"t": TIME, "motor/speed": SPEED, "ref/speed": SPEED, "load/angle": TIME}
     path = write_csv(tmp_path / "sides.csv", sides)
     found = {column.channel for column in guess_columns(read_table(path)).columns}
