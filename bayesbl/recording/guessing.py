@@ -56,8 +56,6 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 )
 """Words (in small letters) that files use for each channel."""
 
-_TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
-
 _REFERENCE = (
     "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
     "vorgabe consigne consigna riferimento referencia vcmd pcmd tcmd icmd "
@@ -254,6 +252,12 @@ class _Named:
     def is_called(self, words: str) -> bool:
         """Whether its name has any of these words."""
         return not self.words.isdisjoint(words.split())
+
+    def stated_for(self, channel: str) -> StatedUnit:
+        """The stated unit, if this is the channel's column; for a topic of ROS by its channel."""
+        stated = self.stated.of(channel)
+        is_open = channel in _SI and stated.unit is None and stated.unknown is None
+        return replace(stated, unit=_SI[channel]) if is_open and _TOPIC.match(self.name) else stated
 
     @cached_property
     def values(self) -> FloatArray:
@@ -833,30 +837,22 @@ def _stated(
     channel: str, column: _Named, suggested: Mapping[str, tuple[str, str]] | None = None
 ) -> GuessedColumn:
     """The guess with the unit that the file states, else with the one that the numbers suggest."""
-    stated = column.stated.of(channel)
+    stated = column.stated_for(channel)
     if stated.unknown:
         units = choice_of_units(channel)
         asked = f'enter its unit, as the file says "{shortened(stated.unknown)}": {units}'
         return GuessedColumn(channel, column.name, UNKNOWN, asked, True)
     if stated.unit:
-        said = "the name says so" if column.name == channel else "stated in the file"
+        of_file = "the name says so" if column.name == channel else "stated in the file"
+        said = of_file if column.stated.unit else BY_ROS
         return GuessedColumn(channel, column.name, stated.unit, said, True)
     if suggested and channel in suggested:
         return GuessedColumn(channel, column.name, *suggested[channel], False)
-    if (of_name := _unit_of_name(channel, column)) is not None:
-        return GuessedColumn(channel, column.name, *of_name)
+    if channel == TIME:
+        return GuessedColumn(channel, column.name, "s", NO_UNIT, False)
     # A share, a count or a number that was scaled looks like any other.
     asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
     return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
-
-
-def _unit_of_name(channel: str, column: _Named) -> tuple[str, str, bool] | None:
-    """The unit that the column's name implies, the reason, and whether the file says so."""
-    if channel in _SI and _TOPIC.match(column.name):
-        return _SI[channel], BY_ROS, True
-    if channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE):
-        return "rpm", NO_UNIT, False
-    return ("s", NO_UNIT, False) if channel == TIME else None
 
 
 def _readings(channel: str, column: _Named) -> str:
@@ -921,22 +917,17 @@ def _of_position(
     if explained < _IS_INTEGRAL or not pairs:
         asked = "enter its unit, as it is the position's derivative in none: "
         return {MOTOR_SPEED: (UNKNOWN, asked + choice_of_units(MOTOR_SPEED))} if units else {}
-    by_name = {c: _unit_of_name(c, chosen[c]) for c in (MOTOR_SPEED, MOTOR_POSITION)}
-    of_speed = by_name[MOTOR_SPEED]
-    pairs = [pair for pair in pairs if of_speed and pair[0] == of_speed[0]] or pairs
     if len(pairs) > 1:
         agreeing = " or ".join(f"{speed_unit} and {angle}" for speed_unit, angle in pairs)
         readings = _readings(MOTOR_SPEED, chosen[MOTOR_SPEED])
         asked = f"enter its unit: {readings}speed and position agree in {agreeing}"
         return dict.fromkeys((MOTOR_SPEED, MOTOR_POSITION), (UNKNOWN, asked))
-    reason = "speed and position then agree"
-    found = zip(by_name, pairs[0], strict=True)
-    # A name that states the unit is the better reason.
-    return {c: (unit, reason) for c, unit in found if by_name[c] != (unit, BY_ROS, True)}
+    sides, reason = (MOTOR_SPEED, MOTOR_POSITION), "speed and position then agree"
+    return {channel: (unit, reason) for channel, unit in zip(sides, pairs[0], strict=True)}
 
 
 def _possible(channel: str, column: _Named) -> Sequence[str]:
-    stated = column.stated.of(channel)
+    stated = column.stated_for(channel)
     if stated.unknown:
         return ()
     return (stated.unit,) if stated.unit else accepted_units(channel)
