@@ -30,6 +30,7 @@ _FACTORS: dict[str, dict[str, float]] = {
         "rad/s": RPM_PER_RAD_PER_S,
         "deg/s": 1.0 / 6.0,
         "rev/s": 60.0,
+        "Hz": 60.0,  # only as the user states it: a file's may be electrical
         "krpm": 1e3,
         "mrad/s": 1e-3 * RPM_PER_RAD_PER_S,
         "rad/min": 0.5 / math.pi,
@@ -168,8 +169,7 @@ _SIZES = {
     "time": '"4 ms"',
     "angle": '"rev/4096" (counts of a turn; the mm of a screw\'s turn) or "rad/400" (mm at 400 mm)',
     "torque": '"% of 12.5 N m" or "0.4 N m" (N at 0.4 m)',
-    "speed": '"rpm/7", "rev/s/7" (electrical rpm or Hz of 7 pole pairs) or "rev/s/4096" (4096 '
-    "counts a turn)",
+    "speed": '"rpm/7" (of 7 pole pairs; "rev/s/7" for Hz) or "rev/s/4096" (4096 counts a turn)',
 }
 """Units with a number: samples of 4 ms, counts per turn, pole pairs, a lever."""
 
@@ -217,7 +217,7 @@ def choice_of_units(channel: str) -> str:
         return "no unit"
     share = f'"% of 12.5 {units[0]}"'
     sized = _SIZES.get(dimension_of(channel) or "", share)
-    return f"{' or '.join(units)}, or with a number as {sized}"
+    return f"{' or '.join(unit for unit in units if unit != 'Hz')}, or with a number as {sized}"
 
 
 def spelled(unit: str) -> str:

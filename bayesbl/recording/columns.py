@@ -151,11 +151,13 @@ def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> Stat
     if of_name.unit and (scaled := _SCALED.search(of_name.bare.strip())):  # n x10 [rpm]
         of_name = replace(of_name, unit=None, unknown=f"{scaled[0]} {of_name.unit}")
     of_file = table.units.get(column, "").strip()
-    if not re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
-        return of_name
-    unit = spelled(of_file)
-    known = (unit, None) if is_unit(unit) else (None, of_file)
-    return StatedUnit(of_name.bare, *known)
+    if re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
+        unit = spelled(of_file)
+        known = (unit, None) if is_unit(unit) else (None, of_file)
+        of_name = StatedUnit(of_name.bare, *known)
+    # Of an inverter, Hz is the electrical frequency.
+    is_electrical = (of_name.unit or "").endswith("Hz")
+    return replace(of_name, unit=None, unknown=of_name.unit) if is_electrical else of_name
 
 
 def stamps_and_values(

@@ -592,13 +592,13 @@ def _cut(
 def _series(cells: Sequence[str], unit: str, mark: str, counts: Counter[str]) -> AnyArray:
     """Numbers, (n,), NaN if missing; texts if a cell is none, with numbers as in Python.
 
-    A word without a digit among numbers (``Bad``, ``No Data``) is a lost sample.
+    A word without a digit among numbers (``Bad``, ``No Data``) is a lost sample, if it is rare.
     """
     are_dates = is_date(cells[0])
     bare = (c if c.lower() in MISSING else c.removesuffix(unit).rstrip() for c in cells)
     numbers = [None if are_dates else number_in(cell, mark) for cell in bare]
     words = [c for c, n in zip(cells, numbers, strict=True) if n is None and not _DIGIT.search(c)]
-    if numbers.count(None) == len(words) < 0.5 * len(cells):
+    if numbers.count(None) == len(words) <= MOST_INCOMPLETE * len(cells):
         counts.update(f'"{shortened(word)}" for a number, a lost sample' for word in words)
         return np.array([math.nan if n is None else n for n in numbers])
     texts = [
