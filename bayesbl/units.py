@@ -169,7 +169,7 @@ _SIZES = {
     "time": '"4 ms"',
     "angle": '"rev/4096" (counts of a turn; the mm of a screw\'s turn) or "rad/400" (mm at 400 mm)',
     "torque": '"% of 12.5 N m" or "0.4 N m" (N at 0.4 m)',
-    "speed": '"rpm/7" (of 7 pole pairs; "rev/s/7" for Hz) or "rev/s/4096" (4096 counts a turn)',
+    "speed": '"rpm/7" (of 7 pole pairs), "rev/s/7" (Hz) or "rev/s/4096" (4096 counts a turn)',
 }
 """Units with a number: samples of 4 ms, counts per turn, pole pairs, a lever."""
 

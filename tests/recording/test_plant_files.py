@@ -357,7 +357,7 @@ def test_an_inverters_hertz_is_electrical(header: str, cell: str, tmp_path: Path
     path = written(tmp_path, table(header, form=f"{{t:.3f}};{cell};{{a}}"))
     speed = guessed(path)["motor_speed_rpm"]
     assert speed.is_open
-    assert '"rev/s/7" for Hz' in speed.reason
+    assert '"rev/s/7" (Hz)' in speed.reason
     columns = {"time_s": ColumnSpec(read_table(path).columns[0], "s"),
                "motor_speed_rpm": ColumnSpec(speed.name, "rev/s/4")}  # fmt: skip
     np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, 15.0 * SPEED)
