@@ -56,6 +56,9 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 )
 """Words (in small letters) that files use for each channel."""
 
+_TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
+_USUAL = {TIME: "s", MOTOR_SPEED: "rpm"}
+
 _REFERENCE = (
     "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
     "vorgabe consigne consigna riferimento referencia vcmd pcmd tcmd icmd "
@@ -848,8 +851,8 @@ def _stated(
         return GuessedColumn(channel, column.name, stated.unit, said, True)
     if suggested and channel in suggested:
         return GuessedColumn(channel, column.name, *suggested[channel], False)
-    if channel == TIME:
-        return GuessedColumn(channel, column.name, "s", NO_UNIT, False)
+    if channel == TIME or (channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE)):
+        return GuessedColumn(channel, column.name, _USUAL[channel], NO_UNIT, False)
     # A share, a count or a number that was scaled looks like any other.
     asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
     return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
