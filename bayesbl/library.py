@@ -267,9 +267,9 @@ def read_result(path: File) -> Result:
         If there is no readable, finished result.
     """
     from bayesbl.presentation.result_object import result_of
-    from bayesbl.results.store import read_tree
+    from bayesbl.runs.kinds import read_result as read
 
-    return result_of(read_tree(path))
+    return result_of(read(path))
 
 
 @checked

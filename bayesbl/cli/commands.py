@@ -583,9 +583,9 @@ def figures_command(result: ResultPath, **given: Any) -> None:
     """Draw the figures of a result again, as PDF and PNG."""
     from bayesbl.library import draw, require_study_file
     from bayesbl.results.folder import FIGURES
-    from bayesbl.results.store import read_tree
+    from bayesbl.runs.kinds import read_result
 
-    tree = read_tree(result)
+    tree = read_result(result)
     require_study_file(tree, given["study"], result)
     folder = (result if os.path.isdir(result) else result.parent) / FIGURES
     for path in draw(tree, folder, ("pdf", "png"), given["study"]):
@@ -612,10 +612,9 @@ def report_command(result: ResultPath) -> None:
 def inspect_command(result: ResultPath, **given: Any) -> None:
     """Print what a result says."""
     from bayesbl.presentation.console import print_summary
-    from bayesbl.results.store import read_tree
-    from bayesbl.runs.kinds import summarise
+    from bayesbl.runs.kinds import read_result, summarise
 
-    tree = read_tree(result)
+    tree = read_result(result)
     if given["json"]:
         # Not the summary.json beside it: only what is in result.nc is verified.
         print_json(summarise(tree))

@@ -583,7 +583,10 @@ def load_bench(path: File) -> Bench:
 
 def parse_bench(text: str, path: str | Path) -> Bench:
     """The bench of a bench file's text in a result; ``path`` is named by a ConfigError."""
-    return _bench_of(BenchFile.model_validate(tomllib.loads(text)), path)
+    try:
+        return _bench_of(BenchFile.model_validate(tomllib.loads(text)), path)
+    except ValueError as error:
+        raise ConfigError("The bench in this result is damaged.", file=path) from error
 
 
 def _bench_of(loaded: BenchFile, path: str | Path) -> Bench:

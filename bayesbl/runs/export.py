@@ -20,7 +20,7 @@ from bayesbl.measurement.stored import stored_answers
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import require_inside
 from bayesbl.results.identified import bench_from, require_gap
-from bayesbl.results.store import read_tree
+from bayesbl.runs.kinds import read_result
 from bayesbl.runs.simulate import refuse_existing, write_all
 
 GAP = Slot.gap_rad.name
@@ -43,7 +43,7 @@ def export(
     existing files. Raises ResultError if the result has no gap, belongs to another bench, or a file
     exists, and ConfigError if the bench cannot be used.
     """
-    tree = read_tree(result)
+    tree = read_result(result)
     if bench is None:
         config = tomllib.loads(tree.attrs.get("config", ""))
         named = config.get("estimator", {}).get("bench")

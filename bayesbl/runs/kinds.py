@@ -18,6 +18,7 @@ from bayesbl.arguments import Tree, checked
 from bayesbl.config.kinds import FILES, KINDS
 from bayesbl.config.loading import config_from_options, files_of, load_config, require_text_names
 from bayesbl.config.sections import RunConfig
+from bayesbl.errors import ResultError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import AUGMENTED_BENCH, CONFIG_FILE, IDENTIFIED_BENCH, require_apart
 from bayesbl.results.work import NOTHING_KEPT, STORE, WorkStore
@@ -166,3 +167,20 @@ def summarise(tree: Tree) -> Summary:
 
     summary: Summary = with_sentences(summary_of(tree))
     return summary
+
+
+def read_result(path: str | Path) -> xr.DataTree:
+    """A result of any kind, in memory. ResultError also for an unknown kind."""
+    from bayesbl.results.store import read_tree
+
+    tree = read_tree(path)
+    kind = tree.attrs.get("kind")
+    stored = [name for name in KINDS if name != "fleet"]
+    if not isinstance(kind, str) or kind not in stored:
+        raise ResultError(
+            "The kind of this result is unknown.",
+            file=path,
+            found=f"kind {kind!r}",
+            expected=" or ".join(stored),
+        )
+    return tree

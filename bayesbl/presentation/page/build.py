@@ -20,8 +20,8 @@ from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.console import SUBJECTS, all_bibtex, blocks, details, origin
 from bayesbl.presentation.figures.stored_figure import drawn
 from bayesbl.results.folder import FIGURES
-from bayesbl.results.store import read_tree, write_text
-from bayesbl.runs.kinds import summarise
+from bayesbl.results.store import write_text
+from bayesbl.runs.kinds import read_result, summarise
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -64,7 +64,7 @@ def write_page(result: str | Path) -> Path:
         If there is no readable, finished result.
     """
     result = Path(result)
-    tree = read_tree(result)
+    tree = read_result(result)
     folder = result if os.path.isdir(result) else result.parent
     return write_page_of(tree, folder / PAGE_FILE, folder / FIGURES)
 
