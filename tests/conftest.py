@@ -24,6 +24,9 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 LONGEST = (
     "test_paper_figures.py",
     "test_golden.py",
+    "test_two_encoders.py",
+    "test_always_in.py",
+    "test_forms.py",
     "test_cli.py",
     "test_figures.py",
     "test_forward.py",

@@ -14,7 +14,7 @@ SEED = 16
 
 CORE = {
     "recordings, same samples": 40,
-    "recordings, damaged": 40,
+    "recordings, damaged": 20,
     "configurations that it wrote": 10,
     "configurations": 30,
     "commands": 15,

@@ -298,6 +298,7 @@ def test_a_line_of_the_motor_that_grew_is_no_wear(growth: float, gap_rad: float)
         assert "gear_transmission_error" in check["could_be"]
 
 
+@pytest.mark.long
 def test_the_change_of_a_ringing_that_is_withheld_is_none(tmp_path: Path) -> None:
     """Noise in which no ringing is seen gave a change of its amplitude with a probability."""
     files = []
