@@ -166,9 +166,6 @@ FINER = 5
 DRIFTING = ("motor_coulomb_friction", "motor_viscous_friction")
 """Friction that differs between recordings, as grease warms up."""
 
-FORM_ORDERS = 3
-"""Orders of the torques by which laws depart from their forms: those that look like a law."""
-
 DRIFT_ORDERS = 6
 """Number of cosines over the time of a recording: slower than friction that warms up."""
 
@@ -500,7 +497,7 @@ class InverseView(View):
 
     # The discrepancy
 
-    def _torques(self, orders: int = LEARNED_HARMONICS) -> Iterator[Discrepancy]:
+    def _torques(self) -> Iterator[Discrepancy]:
         """A torque over each variable."""
         ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
@@ -512,14 +509,14 @@ class InverseView(View):
                 ]
             )
             reach = (float(values.min()), float(values.max()))
-            series = Series(variable, period, reverses, orders, reach)
+            series = Series(variable, period, reverses, LEARNED_HARMONICS, reach)
 
             def columns(motion: Motion, series: Series = series) -> FloatArray:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 return waves * direction(motion)[:, None] if series.reverses else waves
 
             width = self.width if reverses else 0.0
-            torque = self._torque((series.kind, period, orders), columns, width=width)
+            torque = self._torque((series.kind, period), columns, width=width)
             yield Discrepancy(series.kind, torque, series, variable == "motor_speed")
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
@@ -566,11 +563,15 @@ class InverseView(View):
         return Discrepancy("time", self.rows.by_recording(columns))
 
     def _between_recordings(self) -> Iterator[Discrepancy]:
-        """Departures of each recording's friction from its mean over the recordings."""
+        """Departures of each recording's friction and load from their means over the recordings."""
         recordings = len(self.rows.recordings)
-        for name in (n for n in DRIFTING if n in self.laws and recordings > 1):
-            signal = self._signal(name, {self.laws[name].amplitude: 1.0})
-            apart = np.eye(recordings) - 1.0 / recordings
+        if recordings < 2:
+            return
+        friction = (name for name in DRIFTING if name in self.laws)
+        signals = {n: self._signal(n, {self.laws[n].amplitude: 1.0}) for n in friction}
+        signals |= {name: self._parameter(name) for name in self.unknown}
+        apart = np.eye(recordings) - 1.0 / recordings
+        for name, signal in signals.items():
             columns = self.rows.by_recording(signal[:, None]) @ apart
             yield Discrepancy(f"{name}_between_recordings", columns, of=name)
 
@@ -653,7 +654,7 @@ class InverseView(View):
             if law.scanned is None and not law.linear:
                 columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
         waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
-        torques = (*self._torques(FORM_ORDERS), self._spring)
+        torques = (*self._torques(), self._spring)
         forms = (torque.columns for torque in torques if torque.is_form)
         return np.hstack([np.zeros((self.base.size, 0)), *columns, *forms, *waves])
 
@@ -814,6 +815,27 @@ class InverseView(View):
         return scanned is None or grid[0] < inference.values(label)[scanned].value < grid[-1]
 
     silent = (SKEW,)
+
+    def remarks(self, inference: Inference) -> Iterator[str]:
+        """Notes on gravity that the bench lacks, and on a cable or spring."""
+        if "gravity" in inference.posterior.named:
+            ((name, size),) = inference.values("gravity").items()
+            yield (
+                "The rest follows the load's angle as gravity does, although the bench has "
+                f"{name} = 0: {size.value:.3g} N m at the load were fitted, with their "
+                "direction. A balancer that the bench lacks may look the same. Give gravity in "
+                "the bench file, if it is that."
+            )
+        places = (k for k, term in enumerate(inference.terms) if term.hypothesis == SPRING)
+        for k in places:
+            draws = inference.always(k)[:, 0]
+            stiffness, sd = float(draws.mean()), float(draws.std())
+            if abs(stiffness) > SURE_PARAMETER * sd:
+                yield (
+                    "A torque grows with the load's angle as that of a cable, a hose or a spring "
+                    f"does, by {stiffness:.3g} ± {sd:.1g} N m per rad at the load. It is fitted "
+                    "beside what is named."
+                )
 
     def rivals(
         self, errors: Sequence[ParameterError], estimates: Mapping[str, Estimate]
