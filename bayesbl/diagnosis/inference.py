@@ -437,6 +437,9 @@ ROUNDING = 1e-6
 """Smallest noise, relative to the residual of the base. A simulation without noise would otherwise
 be explained to the last digit, and evidence would come from rounding errors."""
 
+COLLINEAR = 0.9999
+"""Cosine between the signals of two candidates beyond which they differ by less than 1 %."""
+
 _RIDGE_ROUNDS = 4
 _TINY = float(np.finfo(float).tiny)
 
@@ -664,6 +667,19 @@ class Inference:
         """Named candidates and confounded groups; the members in the catalogue's order."""
         sure = self.posterior.sure
         return tuple(tuple(n for n in self.labels if n in members) for members in sure)
+
+    def lookalikes(self, label: str) -> list[str]:
+        """Candidates whose signals differ from those of one only by nuisances."""
+        view = self.posterior.linearised
+        terms = [t for t in view.terms if t.columns.shape[1] == 1 and not t.always]
+        scale = np.maximum(np.abs(view.jacobian).max(axis=0), _TINY)
+        basis, _ = np.linalg.qr(view.jacobian / scale)
+        columns = np.hstack([np.zeros((len(basis), 0)), *(term.columns for term in terms)])
+        rest = columns - basis @ (basis.T @ columns)
+        rest /= np.maximum(np.linalg.norm(rest, axis=0), _TINY)
+        is_label = np.array([term.hypothesis == label for term in terms], dtype=bool)
+        alike = np.any(np.abs(rest[:, is_label].T @ rest) > COLLINEAR, axis=0) & ~is_label
+        return [terms[k].hypothesis for k in np.flatnonzero(alike)]
 
     def values(self, label: str) -> dict[str, Estimate]:
         """Linear parameters and shapes of a candidate, averaged over the models that have it."""
@@ -1026,7 +1042,7 @@ def _named(
             waves.append(ripple[0])
         elif all(m in view.silent or view.reportable(inference, m) for m in members):
             first, *others = members
-            names = dict.fromkeys(labels[m].name for m in others)
+            names = dict.fromkeys(labels[m].name for m in (*others, *inference.lookalikes(first)))
             named.append((first, tuple(n for n in names if n != labels[first].name)))
     waves.sort(key=lambda m: -inference.power(m))
     named += [(m, ()) for m in waves[:1]]

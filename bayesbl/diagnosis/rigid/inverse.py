@@ -166,6 +166,9 @@ FINER = 5
 DRIFTING = ("motor_coulomb_friction", "motor_viscous_friction")
 """Friction that differs between recordings, as grease warms up."""
 
+FORM_ORDERS = 3
+"""Orders of the torques by which laws depart from their forms: those that look like a law."""
+
 DRIFT_ORDERS = 6
 """Number of cosines over the time of a recording: slower than friction that warms up."""
 
@@ -497,7 +500,7 @@ class InverseView(View):
 
     # The discrepancy
 
-    def _torques(self) -> Iterator[Discrepancy]:
+    def _torques(self, orders: int = LEARNED_HARMONICS) -> Iterator[Discrepancy]:
         """A torque over each variable."""
         ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
@@ -509,14 +512,14 @@ class InverseView(View):
                 ]
             )
             reach = (float(values.min()), float(values.max()))
-            series = Series(variable, period, reverses, LEARNED_HARMONICS, reach)
+            series = Series(variable, period, reverses, orders, reach)
 
             def columns(motion: Motion, series: Series = series) -> FloatArray:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 return waves * direction(motion)[:, None] if series.reverses else waves
 
             width = self.width if reverses else 0.0
-            torque = self._torque((series.kind, period), columns, width=width)
+            torque = self._torque((series.kind, period, orders), columns, width=width)
             yield Discrepancy(series.kind, torque, series, variable == "motor_speed")
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
@@ -654,7 +657,7 @@ class InverseView(View):
             if law.scanned is None and not law.linear:
                 columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
         waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
-        torques = (*self._torques(), self._spring)
+        torques = (*self._torques(FORM_ORDERS), self._spring)
         forms = (torque.columns for torque in torques if torque.is_form)
         return np.hstack([np.zeros((self.base.size, 0)), *columns, *forms, *waves])
 
