@@ -306,8 +306,7 @@ def _as_it_repeats(
 ) -> tuple[float, float, tuple[str, ...]]:
     """Reference speed and sampling period by the recording itself, and notes on them.
 
-    The controller's integral keeps the mean over whole rotations at the reference, so this mean
-    says nothing else: a stated speed is rounded, or off by the drive's clock. If impacts do
+    The controller's integral keeps the mean over whole rotations at the reference. If impacts do
     not come when speed and gear ratio say, the clock is off. Then every impact would be compared
     with another one, and the error would be mistaken for friction or for external motion of the
     joint.
@@ -328,13 +327,16 @@ def _as_it_repeats(
     if repeating is None:
         return stated_rpm, period_s, ()
     reference, notes = stated_rpm, []
-    if bench.value("integral_gain_nm_per_rad") > 0.0:
+    speed_error = abs(repeating.mean_rpm - abs(stated_rpm))
+    if (
+        speed_error > SURELY_OTHER * repeating.mean_sd_rpm
+        and bench.value("integral_gain_nm_per_rad") > 0.0
+    ):
         reference = math.copysign(repeating.mean_rpm, stated_rpm)
-        if abs(reference - stated_rpm) > SURELY_OTHER * repeating.mean_sd_rpm:
-            notes.append(
-                f"Its mean speed over whole rotations, {reference:.6g} rpm, is taken for its "
-                f"reference, not {stated_rpm:g} rpm."
-            )
+        notes.append(
+            f"Its mean speed over whole rotations, {reference:.6g} rpm, is taken for its "
+            f"reference, not {stated_rpm:g} rpm."
+        )
         repeating = repeats_after(reference) or repeating
     if repeating.gain > SURELY_OTHER**2:
         clock_error = repeating.period_s / bench.rotation_period_s(reference) - 1.0
