@@ -45,6 +45,9 @@ MOST_PROPOSED = 256_000
 """Number of weighted draws of the surrogate."""
 WALKERS = 32
 """Walkers of an ensemble: their trajectories are independent, and many at once are fast."""
+MOST_TRAJECTORIES = 1000
+"""Of a walker. If a far end of the surrogate is reached more slowly, simulations refute the draws
+there sooner than more trajectories settle their share."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
 """Effective share of the draws below which a surrogate is fitted again."""
@@ -451,7 +454,7 @@ def _walk(
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
     return walk(
         ensembles,
-        settings,
+        replace(settings, max_steps=min(settings.max_steps, MOST_TRAJECTORIES)),
         lambda chains: ends(chains[..., gaps], settings.level, (0, 1, 2)),
         np.sqrt(np.diag(local.covariance))[gaps],
         progress,
