@@ -6,6 +6,7 @@ cores, threads waiting for one another cost tenfold.
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import sys
@@ -58,6 +59,8 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     if options.numprocesses is None and not options.usepdb:
         options.numprocesses = "logical"
         options.dist = "loadfile"  # what a file's tests share is made once
+        # Its first import on a day writes a file, and fails where two processes do so at once.
+        importlib.import_module("arviz")
         options.loadscopereorder = False
 
 

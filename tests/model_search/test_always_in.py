@@ -395,6 +395,16 @@ def test_drift_of_an_absent_law_is_at_least_what_shows() -> None:
     assert drift.low == effect_named("speed_averaging").main_amplitude.sought_from
 
 
+def test_a_law_that_the_bench_lacks_cannot_become_less_in_one_snapshot() -> None:
+    """A mean over less than no time and a skew, which cancel, were certain: each was made a fit."""
+    (averaging,) = [d for d in directions(BENCH, {}) if d.slot.startswith("speed_averaging")]
+    changed, column = Label((averaging,), "after", "speed_averaging"), np.ones((3, 1))
+    assert changed.term(column, BENCH).positive
+    assert changed.term(column, BENCH).absent == 0.0
+    assert not changed.term(column, with_neutral(BENCH, [averaging])).positive
+    assert not Label((averaging,), "after").term(column, BENCH).positive
+
+
 def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     """The change was 14 standard deviations off, and the gap "grew, > 99.9 %"."""
     nominal = pair(scaled(**{INERTIA: 1.03, STIFFNESS: 0.99}))
