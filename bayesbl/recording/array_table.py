@@ -407,7 +407,9 @@ class ArrayTable:
                     "There is text in a column of numbers.",
                     where=self.place(row, column),
                     found=repr(shortened(text)),
-                    expected="a number, or an empty cell for a lost sample",
+                    expected="one unit for the whole column, in its name"
+                    if " and " in self.units.get(column, "")
+                    else "a number, or an empty cell for a lost sample",
                 )
             numbers[row] = number
         return numbers

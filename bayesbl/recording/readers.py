@@ -8,6 +8,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -257,7 +258,7 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
     data = unpacked(path, data)
     if not format_.signatures and begins_with_frames(data):
         format_ = CAN_LOG
-    elif not format_.signatures and data[:1000].lstrip()[:1] == b"{":
+    elif not format_.signatures and re.match(rb'\s*\{\s*"', data[:1000]):
         format_ = FORMATS[".json"]
     if format_.beside:
         other = _beside(path, format_.beside)

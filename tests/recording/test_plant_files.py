@@ -486,6 +486,27 @@ def test_a_value_of_bad_quality_is_no_sample(
     assert "20 × row of bad quality" in read.notes[0]
 
 
+def test_a_drives_status_word_is_no_quality(tmp_path: Path) -> None:
+    rows = lines(lambda i, t, n, a: f"{t};{n};0x80000250")
+    path = written(tmp_path, "\n".join(["time_s;motor_speed_rpm;DriveStatus", *rows]))
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.motor_speed_rpm, SPEED)
+    assert recording.excluded is None
+
+
+def test_a_brace_before_a_table_is_not_json(tmp_path: Path) -> None:
+    rows = lines(lambda i, t, n, a: f"{t};{n}")
+    path = written(tmp_path, "\n".join(["{axis 3}", "time_s;motor_speed_rpm", *rows]))
+    np.testing.assert_allclose(read_recording(path).motor_speed_rpm, SPEED)
+
+
+def test_cells_in_several_units_are_refused_as_such(tmp_path: Path) -> None:
+    rows = lines(lambda i, t, n, a: f"{t};{n} {'rpm' if i else 'rad/s'}")
+    path = written(tmp_path, "\n".join(["time_s;speed", *rows]))
+    with pytest.raises(RecordingError, match="one unit for the whole column"):
+        read_recording(path, columns={"motor_speed_rpm": ColumnSpec("speed", "rpm")})
+
+
 @pytest.mark.parametrize("suffix", ["csv", "xlsx"])
 def test_a_word_among_numbers_is_a_lost_sample_and_told(suffix: str, tmp_path: Path) -> None:
     rows = [[t, "Scan Off" if i in (200, 201) else n] for i, (t, n, _) in ROWS]
