@@ -450,8 +450,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "walker_stuck": "A walker never moved: it is stuck, and its ensemble cannot be trusted.",
     "chain_short": (
         "The chain is short: {steps} steps for an autocorrelation time of "
-        "{autocorrelation_steps:.0f} (more than {needed:.0f} times that is needed). Set "
-        "{needed_steps:?max_steps = {needed_steps} or more|more max_steps} under [posterior]."
+        "{autocorrelation_steps:.0f} (more than {needed:.0f} times that is needed)."
+        "{needed_steps:? Set max_steps = {needed_steps} or more under [posterior].|}"
     ),
     "few_effective": "Only {draws:.0f} effective draws of {symbol}.",
     "bounds_moved": "The interval's bounds still moved at the last check.",

@@ -497,7 +497,8 @@ def _judge(
     """
     draws, effective = drawn.draws, drawn.effective
     diagnostics = drawn.walked.judged(
-        {u.label: draws[..., i] for i, u in enumerate(model.unknowns)}
+        {u.label: draws[..., i] for i, u in enumerate(model.unknowns)},
+        most_steps=MOST_TRAJECTORIES,
     )
     failures = [*_at_bound(model, draws)]
     if effective < FEWEST_EFFECTIVE:

@@ -151,6 +151,7 @@ def judge(
     signal_to_noise: float = math.inf,
     at_bound: Mapping[str, float] | None = None,
     other_answer: Contender | None = None,
+    most_steps: float = math.inf,
 ) -> Diagnostics:
     """Derive an outcome with its reasons from the numbers.
 
@@ -166,6 +167,8 @@ def judge(
         By symbol, the share of draws at a bound of its range.
     other_answer
         The most probable optimum with another amplitude, if there is one.
+    most_steps
+        No setting allows more.
     """
     doubts: list[Flaw] = []
     failures: list[Flaw] = []
@@ -188,14 +191,15 @@ def judge(
     if not math.isfinite(autocorrelation_steps):
         failures.append(Flaw("walker_stuck"))
     elif not steps > STEPS_PER_AUTOCORRELATION * autocorrelation_steps:
+        # A short chain underestimates its autocorrelation time.
+        needed_steps = 2 * math.ceil(STEPS_PER_AUTOCORRELATION * autocorrelation_steps)
         values = {
             "steps": steps,
             "autocorrelation_steps": autocorrelation_steps,
             "needed": STEPS_PER_AUTOCORRELATION,
-            # A short chain underestimates its autocorrelation time.
-            "needed_steps": 2 * math.ceil(STEPS_PER_AUTOCORRELATION * autocorrelation_steps),
         }
-        flaw = Flaw("chain_short", values)
+        advised = needed_steps if needed_steps <= most_steps else None
+        flaw = Flaw("chain_short", {**values, "needed_steps": advised})
         enough = steps > 0.4 * STEPS_PER_AUTOCORRELATION * autocorrelation_steps
         (doubts if enough else failures).append(flaw)
     fewest = min(ess_bulk, key=lambda n: ess_bulk[n])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.stats import kstest, norm
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import SamplerSettings, walk
+from bayesbl.sampling.chains import SamplerSettings, Walk, walk
 from bayesbl.sampling.importance import truncated_normal
 from bayesbl.sampling.trajectories import Trajectories
+from bayesbl.sentences import flaws_in_words
 
 ENSEMBLES, WALKERS = 4, 32
 FALSE_ALARM = 1e-3
@@ -65,3 +67,11 @@ def test_draws_in_a_corner_are_those_of_the_truncated_distribution() -> None:
     error = 5.0 * expected.std(axis=0) * np.sqrt(1.0 / 4000 + 10.0 / len(found))
     assert np.all(np.abs(found.mean(axis=0) - expected.mean(axis=0)) < error)
     assert np.all(np.abs(found.std(axis=0) - expected.std(axis=0)) < error)
+
+
+@pytest.mark.parametrize("most", [1000, 20_000])
+def test_more_steps_are_advised_only_where_a_setting_allows_them(most: int) -> None:
+    draws = np.random.default_rng(1).standard_normal((2, 500))
+    diagnostics = Walk((), 40.0, 750, np.ones(2), True).judged({"gap": draws}, most_steps=most)
+    (said,) = (s for s in flaws_in_words(diagnostics.reasons) if "The chain is short: 750" in s)
+    assert ("max_steps = 4000" in said) == (most > 4000)
