@@ -101,12 +101,15 @@ INFORMED, ONE_SD = 0.5, (0.16, 0.84)
 """Half of what lies between these quantiles of ln w, over its scale beforehand, up to which the
 torque has told it: above it a compliance would be the makers', not this joint's."""
 
-COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
+COASTING = (3.0, 1.0, 0.3, 0.1)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
 
 WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
+
+VARIANTS = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
+"""Weights, or frictions, over that of a course that was placed."""
 
 TRIED, MOVED = 512, 4
 """Points of this space that are weighed, and the best of them that are moved."""
@@ -522,10 +525,6 @@ class Model:
         self.measured_lag = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
         self.reference = cell
 
-    def centre_lag(self) -> None:
-        """Take the middle of what was measured for the middle of the play."""
-        self.measured_lag -= np.mean(np.quantile(self.measured_lag, ENDS))
-
     def lag(self, course: int, half_rad: float) -> FloatArray:
         """s at every sample."""
         if half_rad <= 0.0:
@@ -591,7 +590,7 @@ class Model:
     def final(self, best: Cell, misfit_rad: float) -> Final:
         """What the cells near the best one have."""
         half, lag = best.half_rad, best.lag
-        side = np.where(np.abs(lag) < TOUCHES * half, 0.0, np.sign(lag))
+        side = np.where(np.abs(lag) < TOUCHES * half - self.paths.motor_step_rad, 0.0, np.sign(lag))
         near = np.convolve(np.diff(side) != 0.0, np.ones(4))[1:-1] + (side == 0.0) > 0.0
         passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
         # A load that rests there has the same count at each turn at the same place.
@@ -714,7 +713,7 @@ def on_flank(lag: FloatArray) -> NDArray[np.bool_]:
 def _lowest(
     cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int
 ) -> FloatArray:
-    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 3e-3, "fatol": 0.05}
+    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": np.inf, "fatol": 0.05}
     return np.asarray(minimize(cost, simplex[0], method="Nelder-Mead", options=options).x)
 
 
@@ -961,8 +960,7 @@ def fit_transmission(
         skew = min(first.paths.skew_s + best.half_rad / usual_speed, at.edge_s)
         late = replace(at, skew_s=skew, skew_sd_s=LATE_S)
         starts.append(_settled(channels, late, report))
-    as_read = replace(at, slope=slope, skew_s=0.0)
-    own = [_with_own_way(channels, as_read, start) for start in starts]
+    own = [_with_own_way(start) for start in starts]
     report(MOST_ROUNDS, MOST_ROUNDS + 1)
     # Their evidence is compared with the same misfit, on the way as well: all have the same bins.
     finals = [model.final(best, model.misfit(noise)) for model, noise, best in own]
@@ -975,20 +973,14 @@ def fit_transmission(
     return _mixed(found, seed)
 
 
-def _with_own_way(
-    channels: Channels, at: Scaling, start: tuple[Model, Noise, Cell]
-) -> tuple[Model, Noise, Cell]:
+def _with_own_way(start: tuple[Model, Noise, Cell]) -> tuple[Model, Noise, Cell]:
     """The best course, with a load that goes its own way."""
     model, free, best = start
-    # A load that goes its own way is tried last: it would follow any other skew and ratio too. A
-    # large play bends those of all other courses, so it is also tried as the recording has it.
+    # A load that goes its own way is tried last: it would follow any other skew and ratio too.
     model.measure_lag(best)
-    as_read = _model(channels, at)
-    as_read.centre_lag()
-    for here in (model, as_read):
-        fitted, own = _own_way(here, free)
-        if own.log_evidence > best.log_evidence:
-            model, free, best = here, fitted, own
+    fitted, own = _own_way(model, free)
+    if own.log_evidence > best.log_evidence:
+        free, best = fitted, own
     model.measure_lag(best)
     free, best = model.fitted(best.course, best.half_rad, free)
     model.counted, model.repeating = model.repeats(best)
@@ -1006,16 +998,34 @@ def _answered(
     """The answer about the best course, and its log evidence in the end."""
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
     noises = [model.again(noise), model.again(free)]
-    sharp = _refined(model, range(len(model.courses)), best, noises, None)
-    whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
-    # Passages at one speed are alike: their number does not tell which course the load takes.
-    least = -np.inf if model.design.one_speed else whole.max() - UNLIKELY
-    likely = sorted({sharp[i].course for i in np.flatnonzero(whole >= least)})
+    _with_variants(model, best, noises[1], final)
     model.design.hold(best.lag)
-    lists = sharp, _refined(model, likely, best, noises, final)
+    cells = _refined(model, best, noises, final)
     generator = np.random.default_rng(seed)
-    evidence = logsumexp(_log_masses(lists[1], np.zeros(len(lists[1])), model))
-    return _drawn(model, best, lists, free, generator, of_joint), float(evidence)
+    evidence = logsumexp(_log_masses(cells, np.zeros(len(cells)), model))
+    return _drawn(model, best, cells, free, generator, of_joint), float(evidence)
+
+
+def _with_variants(model: Model, best: Cell, noise: Noise, final: Final) -> None:
+    """Beside a course that was placed, ones of other weight, or of other friction if it has none:
+    the noise by which it was placed counts each passage, though a load flies alike in all.
+    """
+    place = model.place(best)
+    if place is None:
+        return
+    how = model.courses[best.course]
+    model.courses[best.course] = how = replace(how, prior=how.prior / (1 + len(VARIANTS)))
+    for factor in VARIANTS:
+        model.courses.append(replace(how, drag=how.drag * factor, weight=how.weight * factor))
+        if how.weight:
+
+            def cost(point: FloatArray, weight: complex = how.weight * factor) -> float:
+                model.courses[-1] = replace(how, drag=float(np.exp(point[1])), weight=weight)
+                half = float(np.exp(point[0]))
+                return -model.cell(len(model.courses) - 1, half, noise, final).log_evidence
+
+            start = np.array([place[0], place[1] + np.log(factor)])
+            cost(_lowest(cost, np.vstack([start, start + np.diag([0.2, 0.4])]), 60))
 
 
 def _mixed(
@@ -1059,11 +1069,9 @@ def _model(channels: Channels, at: Scaling) -> Model:
     """The model with the courses that are tried in any case."""
     paths = scaled_paths(channels, at.slope, at.skew_s, at.edge_s)
     rest = 1.0 - STAYS
-    drags = np.array(COASTING) * paths.typical_acceleration
-    courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
-    courses = [*courses, Course(0.0, 0.2 * rest, free=True)]
-    driven = [Course(np.inf, STAYS), Course(np.inf, 0.1 * rest, drives=True)]
-    return Model(paths, Design(paths, at), driven + courses)
+    free = Course(0.0, 0.2 * rest, free=True)
+    courses = [Course(np.inf, STAYS), Course(np.inf, 0.1 * rest, drives=True), free]
+    return Model(paths, Design(paths, at), courses)
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
@@ -1126,7 +1134,7 @@ def _placed(
 
 def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     """With a load that coasts by a deceleration of its own."""
-    drags = np.array(COASTING[:-1]) * model.paths.typical_acceleration
+    drags = np.array(COASTING) * model.paths.typical_acceleration
     halves = _halves(model, 1e-4, PER_DECADE)
     tried = [np.log([half, drag]) for drag in drags for half in halves]
     return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
@@ -1141,29 +1149,24 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     design = model.design
     plain = design.columns(np.zeros(design.load_rad.size))[:, : design.plain]
     held = design.load_rad - plain @ np.linalg.lstsq(plain, design.load_rad, rcond=None)[0]
-    fits = [(noise, best)]
-    for rest in (model.residual(model.cell(0, 0.0, noise)), held):
-        low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
-        about = np.log(0.5 * float(np.ptp(np.quantile(rest, (0.05, 0.95)))))
-        low[0], high[0] = low[0] + about, high[0] + about
-        tried = []
-        for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
-            half, rubbed, weight = low + np.array(shares) * (high - low)
-            pull = np.exp(weight + 2j * np.pi * turn)
-            tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
-        fits.append(_placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED))
-    return max(fits, key=lambda fit: fit[1].log_evidence)
+    low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
+    sizes = [
+        np.log(0.5 * float(np.ptp(np.quantile(rest, (0.05, 0.95)))))
+        for rest in (model.residual(model.cell(0, 0.0, noise)), held)
+    ]
+    low[0], high[0] = low[0] + min(sizes), high[0] + max(sizes)
+    tried = []
+    for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
+        half, rubbed, weight = low + np.array(shares) * (high - low)
+        pull = np.exp(weight + 2j * np.pi * turn)
+        tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
+    return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
 
 
-def _refined(
-    model: Model, courses: Sequence[int], best: Cell, noises: Sequence[Noise], final: Final | None
-) -> list[Cell]:
-    """Cells over courses and a grid of h, finer where they hold much of the probability: of all,
-    and with ``final`` of each course.
-    """
-    halves = _halves(model, 1e-6, PER_DECADE)
-    wanted = [(course, float(half)) for course in courses for half in halves]
-    wanted += [(course, best.half_rad) for course in courses]
+def _refined(model: Model, best: Cell, noises: Sequence[Noise], final: Final) -> list[Cell]:
+    """Cells over courses and a grid of h, finer where they hold much of a course's probability."""
+    courses, halves = range(len(model.courses)), _halves(model, 1e-6, PER_DECADE)
+    wanted = [(course, float(half)) for course in courses for half in (*halves, best.half_rad)]
     cells: list[Cell] = []
     for _ in range(11):
         for place in wanted:
@@ -1171,10 +1174,12 @@ def _refined(
             cells.append(max(here, key=lambda cell: cell.log_evidence))
         cells.sort(key=lambda cell: (cell.course, cell.half_rad))
         masses = _log_masses(cells, np.zeros(len(cells)), model)
-        whole = _of_courses(masses, cells) if final else logsumexp(masses)
+        least = logsumexp(masses) - UNLIKELY
         wanted = [
             (cells[i].course, float(half))
-            for i in np.flatnonzero(masses - whole > np.log(0.04))
+            for i in np.flatnonzero(
+                masses - np.maximum(_of_courses(masses, cells), least) > np.log(0.04)
+            )
             if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5
             for half in np.geomspace(cells[i].half_rad, cells[i + 1].half_rad, 5)[1:-1]
         ]
@@ -1255,19 +1260,15 @@ def _is_soft(delta: FloatArray) -> FloatArray:
 
 
 def _priors(
-    cells: Sequence[Cell],
-    flies: NDArray[np.bool_],
+    half: FloatArray,
     likely: FloatArray,
     of_held: Callable[[FloatArray], tuple[FloatArray, ...]],
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]:
     """Log densities over ln h at cells, without play, with it and with one that is hidden,
     (cells,), and the second's shares by ``PARTS`` of h that are wound up, of usual and of soft
     joints, (2, cells, parts). ``likely``: by the torque; ``of_held``: densities of what is wound
-    up. Where the load ``flies`` from flank to flank, it does so over a part of h that is no
-    wind-up, and all sizes of that part are alike.
+    up.
     """
-    half = np.array([c.half_rad for c in cells])
-    likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
     usual, _, inertia, _ = of_held(half[:, None] * PARTS)
     share = _is_soft(gap)
@@ -1287,55 +1288,37 @@ def _priors(
 def _drawn(
     model: Model,
     best: Cell,
-    lists: Sequence[Sequence[Cell]],
+    cells: Sequence[Cell],
     noise: Noise,
     generator: np.random.Generator,
     of_joint: np.random.SeedSequence,
 ) -> Transmission:
-    """Draws by two lists of cells: whether there is play, and how large it is."""
+    """Draws by cells: whether there is play, and how large it is."""
     paths, design = model.paths, model.design
     names = design.names
     count = int(np.prod(DRAWS))
-    # Noise tells whether there is play and which course the load takes, misfit that lasts only h.
-    by_noise, cells = lists
     again = model.again(noise)
     last = model.final(best, model.misfit(noise))
     of_held = _density_of_held(model, model.cell(best.course, best.half_rad, again, last))
-    shown = VISIBLE * float(np.hypot(noise.white_rad, model.misfit(noise)))
-    falls = [abs(how.weight) > how.drag for how in model.courses]
-    flies = [np.array([falls[c.course] and c.half_rad > shown for c in each]) for each in lists]
-    compliance = None
+    half = np.array([c.half_rad for c in cells])
+    compliance, likely = None, np.ones((half.size, PARTS.size))
     if design.friction_nm:
         compliance = Compliance(model, best, noise, design.friction_nm)
-    priors = []
-    for each, flying in zip(lists, flies, strict=True):
-        windup = np.array([c.half_rad for c in each])[:, None] * PARTS
-        likely = np.ones_like(windup) if compliance is None else compliance.likely(windup)
-        priors.append(_priors(each, flying, likely, of_held))
-    of_parts = priors[1][1]
-    sharp, blunt = (
-        [_log_masses(each, log, model) for log in prior[0]]
-        for each, prior in zip(lists, priors, strict=True)
-    )
+        likely = compliance.likely(half[:, None] * PARTS)
+    densities, of_parts = _priors(half, likely, of_held)
+    masses = [_log_masses(cells, log, model) for log in densities]
     # An interval of h that reaches down to none leaves it open whether there is any.
-    bare, with_play, rests = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
-    seen = np.logaddexp(bare, with_play)
-    probability = float(np.exp(with_play - seen)[1])
-    of_play = np.exp(np.array([bare, with_play, rests]) - np.logaddexp(seen, rests)).T
+    bare, with_play, rests = (float(logsumexp(each)) for each in masses)
+    probability = float(np.exp(with_play - np.logaddexp(bare, with_play)))
+    of_play = softmax([bare, with_play, rests])
     # The same joint has play or none in all recordings, and is as soft: a change is not as unknown
     # as what it is of. Its friction is not the same.
     joint = np.random.default_rng(of_joint)
     kind, softer = joint.uniform(size=count), joint.standard_normal(count)
     plays = joint.uniform(size=count) < probability
-    half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
-        courses = (c.course for c in by_noise[:-1])
-        known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
-        if not model.design.one_speed:
-            wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
-        weights = np.exp(wide - logsumexp(wide))
-        interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
+    for mine, wide in zip((~plays, plays), masses[:2], strict=True):
+        interval[mine] = generator.choice(wide.size, size=int(mine.sum()), p=softmax(wide))
     share = generator.uniform(size=count)
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
     nearest = interval + (share > 0.5)
@@ -1426,7 +1409,7 @@ def _drawn(
         paths.reversals,
         design.friction_nm,
         design.gravity_holds,
-        max(map(tuple, of_play.tolist()), key=lambda each: each[2]),
+        tuple(of_play.tolist()),
         design.one_speed
         and bool(
             (np.mean(stays) < 0.5 and np.mean(delta > 0.0) < SURE)
