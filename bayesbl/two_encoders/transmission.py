@@ -101,7 +101,7 @@ INFORMED, ONE_SD = 0.5, (0.16, 0.84)
 """Half of what lies between these quantiles of ln w, over its scale beforehand, up to which the
 torque has told it: above it a compliance would be the makers', not this joint's."""
 
-COASTING = (3.0, 1.0, 0.3, 0.1)
+COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
 
 WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
@@ -524,6 +524,10 @@ class Model:
         other = self.design.columns(cell.lag) @ rest
         self.measured_lag = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
         self.reference = cell
+
+    def centre_lag(self) -> None:
+        """Take the middle of what was measured for the middle of the play."""
+        self.measured_lag -= np.mean(np.quantile(self.measured_lag, ENDS))
 
     def lag(self, course: int, half_rad: float) -> FloatArray:
         """s at every sample."""
@@ -960,7 +964,8 @@ def fit_transmission(
         skew = min(first.paths.skew_s + best.half_rad / usual_speed, at.edge_s)
         late = replace(at, skew_s=skew, skew_sd_s=LATE_S)
         starts.append(_settled(channels, late, report))
-    own = [_with_own_way(start) for start in starts]
+    as_read = replace(at, slope=slope, skew_s=0.0)
+    own = [_with_own_way(channels, as_read, start) for start in starts]
     report(MOST_ROUNDS, MOST_ROUNDS + 1)
     # Their evidence is compared with the same misfit, on the way as well: all have the same bins.
     finals = [model.final(best, model.misfit(noise)) for model, noise, best in own]
@@ -973,14 +978,20 @@ def fit_transmission(
     return _mixed(found, seed)
 
 
-def _with_own_way(start: tuple[Model, Noise, Cell]) -> tuple[Model, Noise, Cell]:
+def _with_own_way(
+    channels: Channels, at: Scaling, start: tuple[Model, Noise, Cell]
+) -> tuple[Model, Noise, Cell]:
     """The best course, with a load that goes its own way."""
     model, free, best = start
-    # A load that goes its own way is tried last: it would follow any other skew and ratio too.
+    # A load that goes its own way is tried last: it would follow any other skew and ratio too. A
+    # large play bends those of all other courses, so it is also tried as the recording has it.
     model.measure_lag(best)
-    fitted, own = _own_way(model, free)
-    if own.log_evidence > best.log_evidence:
-        free, best = fitted, own
+    as_read = _model(channels, at)
+    as_read.centre_lag()
+    for here in (model, as_read):
+        fitted, own = _own_way(here, free)
+        if own.log_evidence > best.log_evidence:
+            model, free, best = here, fitted, own
     model.measure_lag(best)
     free, best = model.fitted(best.course, best.half_rad, free)
     model.counted, model.repeating = model.repeats(best)
@@ -1069,9 +1080,11 @@ def _model(channels: Channels, at: Scaling) -> Model:
     """The model with the courses that are tried in any case."""
     paths = scaled_paths(channels, at.slope, at.skew_s, at.edge_s)
     rest = 1.0 - STAYS
-    free = Course(0.0, 0.2 * rest, free=True)
-    courses = [Course(np.inf, STAYS), Course(np.inf, 0.1 * rest, drives=True), free]
-    return Model(paths, Design(paths, at), courses)
+    drags = np.array(COASTING) * paths.typical_acceleration
+    courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
+    courses = [*courses, Course(0.0, 0.2 * rest, free=True)]
+    driven = [Course(np.inf, STAYS), Course(np.inf, 0.1 * rest, drives=True)]
+    return Model(paths, Design(paths, at), driven + courses)
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
@@ -1134,7 +1147,7 @@ def _placed(
 
 def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     """With a load that coasts by a deceleration of its own."""
-    drags = np.array(COASTING) * model.paths.typical_acceleration
+    drags = np.array(COASTING[:-1]) * model.paths.typical_acceleration
     halves = _halves(model, 1e-4, PER_DECADE)
     tried = [np.log([half, drag]) for drag in drags for half in halves]
     return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
