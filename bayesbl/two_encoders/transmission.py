@@ -594,7 +594,8 @@ class Model:
     def final(self, best: Cell, misfit_rad: float) -> Final:
         """What the cells near the best one have."""
         half, lag = best.half_rad, best.lag
-        side = np.where(np.abs(lag) < TOUCHES * half - self.paths.motor_step_rad, 0.0, np.sign(lag))
+        within = TOUCHES * half - self.paths.motor_step_rad
+        side = np.where(np.abs(lag) < within, 0.0, np.sign(lag))
         near = np.convolve(np.diff(side) != 0.0, np.ones(4))[1:-1] + (side == 0.0) > 0.0
         passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
         # A load that rests there has the same count at each turn at the same place.
@@ -1009,23 +1010,29 @@ def _answered(
     """The answer about the best course, and its log evidence in the end."""
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
     noises = [model.again(noise), model.again(free)]
-    _with_variants(model, best, noises[1], final)
+    sharp = _refined(model, range(len(model.courses)), best, noises, None)
+    whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), [c.course for c in sharp])
+    # Passages at one speed are alike: their number does not tell which course the load takes.
+    least = -np.inf if model.design.one_speed else whole.max() - UNLIKELY
+    likely = sorted({sharp[i].course for i in np.flatnonzero(whole >= least)})
+    if best.course in likely:
+        likely += _variants(model, best, noises[1], final)
     model.design.hold(best.lag)
-    cells = _refined(model, best, noises, final)
+    lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
-    evidence = logsumexp(_log_masses(cells, np.zeros(len(cells)), model))
-    return _drawn(model, best, cells, free, generator, of_joint), float(evidence)
+    evidence = logsumexp(_log_masses(lists[1], np.zeros(len(lists[1])), model))
+    return _drawn(model, best, lists, free, generator, of_joint), float(evidence)
 
 
-def _with_variants(model: Model, best: Cell, noise: Noise, final: Final) -> None:
-    """Beside a course that was placed, ones of other weight, or of other friction if it has none:
-    the noise by which it was placed counts each passage, though a load flies alike in all.
+def _variants(model: Model, best: Cell, noise: Noise, final: Final) -> list[int]:
+    """Courses beside one that was placed, with another weight, or another friction if it has none.
+
+    The noise by which it was placed counts each passage, though a load flies alike in all.
     """
-    place = model.place(best)
+    place, first = model.place(best), len(model.courses)
     if place is None:
-        return
+        return []
     how = model.courses[best.course]
-    model.courses[best.course] = how = replace(how, prior=how.prior / (1 + len(VARIANTS)))
     for factor in VARIANTS:
         model.courses.append(replace(how, drag=how.drag * factor, weight=how.weight * factor))
         if how.weight:
@@ -1037,6 +1044,7 @@ def _with_variants(model: Model, best: Cell, noise: Noise, final: Final) -> None
 
             start = np.array([place[0], place[1] + np.log(factor)])
             cost(_lowest(cost, np.vstack([start, start + np.diag([0.2, 0.4])]), 60))
+    return list(range(first, len(model.courses)))
 
 
 def _mixed(
@@ -1162,12 +1170,10 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     design = model.design
     plain = design.columns(np.zeros(design.load_rad.size))[:, : design.plain]
     held = design.load_rad - plain @ np.linalg.lstsq(plain, design.load_rad, rcond=None)[0]
+    residuals = model.residual(model.cell(0, 0.0, noise)), held
+    sizes = [0.5 * float(np.ptp(np.quantile(each, (0.05, 0.95)))) for each in residuals]
     low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
-    sizes = [
-        np.log(0.5 * float(np.ptp(np.quantile(rest, (0.05, 0.95)))))
-        for rest in (model.residual(model.cell(0, 0.0, noise)), held)
-    ]
-    low[0], high[0] = low[0] + min(sizes), high[0] + max(sizes)
+    low[0], high[0] = low[0] + np.log(min(sizes)), high[0] + np.log(max(sizes))
     tried = []
     for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
         half, rubbed, weight = low + np.array(shares) * (high - low)
@@ -1176,10 +1182,15 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
 
 
-def _refined(model: Model, best: Cell, noises: Sequence[Noise], final: Final) -> list[Cell]:
-    """Cells over courses and a grid of h, finer where they hold much of a course's probability."""
-    courses, halves = range(len(model.courses)), _halves(model, 1e-6, PER_DECADE)
-    wanted = [(course, float(half)) for course in courses for half in (*halves, best.half_rad)]
+def _refined(
+    model: Model, courses: Sequence[int], best: Cell, noises: Sequence[Noise], final: Final | None
+) -> list[Cell]:
+    """Cells over courses and a grid of h, finer where they hold much of the probability: of all,
+    and with ``final`` of each course.
+    """
+    halves = _halves(model, 1e-6, PER_DECADE)
+    wanted = [(course, float(half)) for course in courses for half in halves]
+    wanted += [(course, best.half_rad) for course in courses]
     cells: list[Cell] = []
     for _ in range(11):
         for place in wanted:
@@ -1187,21 +1198,20 @@ def _refined(model: Model, best: Cell, noises: Sequence[Noise], final: Final) ->
             cells.append(max(here, key=lambda cell: cell.log_evidence))
         cells.sort(key=lambda cell: (cell.course, cell.half_rad))
         masses = _log_masses(cells, np.zeros(len(cells)), model)
-        least = logsumexp(masses) - UNLIKELY
+        course = [cell.course for cell in cells]
+        whole = _of_courses(masses, course) if final else logsumexp(masses)
         wanted = [
             (cells[i].course, float(half))
-            for i in np.flatnonzero(
-                masses - np.maximum(_of_courses(masses, cells), least) > np.log(0.04)
-            )
+            for i in np.flatnonzero(masses - whole > np.log(0.04))
             if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5
             for half in np.geomspace(cells[i].half_rad, cells[i + 1].half_rad, 5)[1:-1]
         ]
     return cells
 
 
-def _of_courses(masses: FloatArray, cells: Sequence[Cell]) -> FloatArray:
+def _of_courses(masses: FloatArray, course: Sequence[int]) -> FloatArray:
     """Log probability of each cell's course, shape (cells − 1,)."""
-    course = np.array([c.course for c in cells[:-1]])
+    course = np.array(course[:-1])
     wholes = np.array([logsumexp(masses[course == k]) for k in range(course.max() + 1)])
     return np.asarray(wholes[course])
 
@@ -1273,15 +1283,19 @@ def _is_soft(delta: FloatArray) -> FloatArray:
 
 
 def _priors(
-    half: FloatArray,
+    cells: Sequence[Cell],
+    flies: NDArray[np.bool_],
     likely: FloatArray,
     of_held: Callable[[FloatArray], tuple[FloatArray, ...]],
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]:
     """Log densities over ln h at cells, without play, with it and with one that is hidden,
     (cells,), and the second's shares by ``PARTS`` of h that are wound up, of usual and of soft
     joints, (2, cells, parts). ``likely``: by the torque; ``of_held``: densities of what is wound
-    up.
+    up. Where the load ``flies`` from flank to flank, it does so over a part of h that is no
+    wind-up, and all sizes of that part are alike.
     """
+    half = np.array([c.half_rad for c in cells])
+    likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
     usual, _, inertia, _ = of_held(half[:, None] * PARTS)
     share = _is_soft(gap)
@@ -1301,37 +1315,57 @@ def _priors(
 def _drawn(
     model: Model,
     best: Cell,
-    cells: Sequence[Cell],
+    lists: Sequence[Sequence[Cell]],
     noise: Noise,
     generator: np.random.Generator,
     of_joint: np.random.SeedSequence,
 ) -> Transmission:
-    """Draws by cells: whether there is play, and how large it is."""
+    """Draws by two lists of cells: whether there is play, and how large it is."""
     paths, design = model.paths, model.design
     names = design.names
     count = int(np.prod(DRAWS))
+    # Noise tells whether there is play and which course the load takes, misfit that lasts only h.
+    by_noise, cells = lists
     again = model.again(noise)
     last = model.final(best, model.misfit(noise))
     of_held = _density_of_held(model, model.cell(best.course, best.half_rad, again, last))
-    half = np.array([c.half_rad for c in cells])
-    compliance, likely = None, np.ones((half.size, PARTS.size))
+    shown = VISIBLE * float(np.hypot(noise.white_rad, model.misfit(noise)))
+    falls = [abs(how.weight) > how.drag for how in model.courses]
+    flies = [np.array([falls[c.course] and c.half_rad > shown for c in each]) for each in lists]
+    compliance = None
     if design.friction_nm:
         compliance = Compliance(model, best, noise, design.friction_nm)
-        likely = compliance.likely(half[:, None] * PARTS)
-    densities, of_parts = _priors(half, likely, of_held)
-    masses = [_log_masses(cells, log, model) for log in densities]
+    priors = []
+    for each, flying in zip(lists, flies, strict=True):
+        windup = np.array([c.half_rad for c in each])[:, None] * PARTS
+        likely = np.ones_like(windup) if compliance is None else compliance.likely(windup)
+        priors.append(_priors(each, flying, likely, of_held))
+    of_parts = priors[1][1]
+    sharp, blunt = (
+        [_log_masses(each, log, model) for log in prior[0]]
+        for each, prior in zip(lists, priors, strict=True)
+    )
     # An interval of h that reaches down to none leaves it open whether there is any.
-    bare, with_play, rests = (float(logsumexp(each)) for each in masses)
-    probability = float(np.exp(with_play - np.logaddexp(bare, with_play)))
-    of_play = softmax([bare, with_play, rests])
+    bare, with_play, rests = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
+    seen = np.logaddexp(bare, with_play)
+    probability = float(np.exp(with_play - seen)[1])
+    of_play = np.exp(np.array([bare, with_play, rests]) - np.logaddexp(seen, rests)).T
     # The same joint has play or none in all recordings, and is as soft: a change is not as unknown
     # as what it is of. Its friction is not the same.
     joint = np.random.default_rng(of_joint)
     kind, softer = joint.uniform(size=count), joint.standard_normal(count)
     plays = joint.uniform(size=count) < probability
+    half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    for mine, wide in zip((~plays, plays), masses[:2], strict=True):
-        interval[mine] = generator.choice(wide.size, size=int(mine.sum()), p=softmax(wide))
+    shown = [c.course for c in by_noise]
+    # A variant is of the course that was placed.
+    course = [c.course if c.course in shown else best.course for c in cells]
+    for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
+        known = dict(zip(shown[:-1], _of_courses(masses, shown), strict=True))
+        if not model.design.one_speed:
+            wide += [known[k] for k in course[:-1]] - _of_courses(wide, course)
+        weights = np.exp(wide - logsumexp(wide))
+        interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
     share = generator.uniform(size=count)
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
     nearest = interval + (share > 0.5)
@@ -1422,7 +1456,7 @@ def _drawn(
         paths.reversals,
         design.friction_nm,
         design.gravity_holds,
-        tuple(of_play.tolist()),
+        max(map(tuple, of_play.tolist()), key=lambda each: each[2]),
         design.one_speed
         and bool(
             (np.mean(stays) < 0.5 and np.mean(delta > 0.0) < SURE)
