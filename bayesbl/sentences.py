@@ -509,9 +509,6 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "The reference is held from each sample to the next, as in a digital drive, because a "
         "straight line between samples does not explain the recording."
     ),
-    "standstills_left_out": (
-        "Standstills are left out, because friction at rest differs from friction in motion."
-    ),
     "start_left_out": (
         "The first {begin_s:.2g} s are left out, because the state of teeth and controller at the "
         "start is unknown."

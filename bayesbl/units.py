@@ -30,7 +30,7 @@ _FACTORS: dict[str, dict[str, float]] = {
         "rad/s": RPM_PER_RAD_PER_S,
         "deg/s": 1.0 / 6.0,
         "rev/s": 60.0,
-        "Hz": 60.0,
+        "Hz": 60.0,  # only as the user states it: a file's may be electrical
         "krpm": 1e3,
         "mrad/s": 1e-3 * RPM_PER_RAD_PER_S,
         "rad/min": 0.5 / math.pi,
@@ -60,7 +60,7 @@ _WORDS = {
         ("angle", math.pi / 10800.0, "arcmin arcminute arcminutes '"),
         ("angle", math.pi / 648000.0, 'arcsec arcsecond arcseconds "'),
         ("speed", 1.0, "rpm upm"),
-        ("speed", 60.0, "rps hz hertz"),
+        ("speed", 60.0, "rps"),
         ("speed", RPM_PER_RAD_PER_S, "radps"),
         ("speed", 1.0 / 6.0, "dps degps"),
         ("current", 1.0, "a amp amps ampere amperes arms aeff"),
@@ -71,6 +71,18 @@ _WORDS = {
     for word in words.split()
 }
 """Units as files write them, in small letters without spaces and points."""
+
+QUESTIONS = frozenset(
+    "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
+    "digits step steps pu erpm percent pct permille cycles kmh kph mph mps mmps ips cdeg ddeg "
+    "cps ozin inoz lbin inlb lbft ftlb kgcm kgfcm gcm hz khz hertz".split()
+)
+"""Words for units that are none here, or whose size only the user knows."""
+
+OTHER_UNITS = QUESTIONS | frozenset(
+    "v mv kv ka apk u r gon mm cm m ft in oz lb n kn kg kgf lbf units".split()  # noqa: SIM905
+)
+"""In brackets, also units of other quantities, or of unknown size."""
 
 _PREFIXES = {
     "time": {"milli": 1e-3, "micro": 1e-6, "nano": 1e-9, "m": 1e-3, "u": 1e-6, "n": 1e-9},
@@ -157,7 +169,7 @@ _SIZES = {
     "time": '"4 ms"',
     "angle": '"rev/4096" (counts of a turn; the mm of a screw\'s turn) or "rad/400" (mm at 400 mm)',
     "torque": '"% of 12.5 N m" or "0.4 N m" (N at 0.4 m)',
-    "speed": '"rpm/7" (of 7 pole pairs) or "rev/s/4096" (4096 counts a turn)',
+    "speed": '"rpm/7" (of 7 pole pairs), "rev/s/7" (Hz) or "rev/s/4096" (4096 counts a turn)',
 }
 """Units with a number: samples of 4 ms, counts per turn, pole pairs, a lever."""
 
@@ -205,7 +217,7 @@ def choice_of_units(channel: str) -> str:
         return "no unit"
     share = f'"% of 12.5 {units[0]}"'
     sized = _SIZES.get(dimension_of(channel) or "", share)
-    return f"{' or '.join(units)}, or with a number as {sized}"
+    return f"{' or '.join(unit for unit in units if unit != 'Hz')}, or with a number as {sized}"
 
 
 def spelled(unit: str) -> str:
@@ -275,6 +287,11 @@ def is_unit(text: str) -> bool:
         except KeyError:
             continue
     return False
+
+
+def plain_letters(text: str) -> str:
+    """Small letters alone: ``p.u.`` and ``oz-in`` as ``pu`` and ``ozin``."""
+    return re.sub(r"[\W_]", "", text.lower())
 
 
 def number(value: float, places: int) -> str:

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, PositiveInt
+from study_tools import StudyRow, write_csv
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw
@@ -39,18 +39,10 @@ COLUMNS = {
 }
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: so many joints of one kind."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    cases: PositiveInt
     joint: Literal["rigid", "turning"]
-
-
-def count(row: Row) -> int:
-    """Number of joints."""
-    return row.cases
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
@@ -233,15 +225,14 @@ def write_rigid(
     count = math.exp(rng.uniform(math.log(1e-6), math.log(1e-2)))
     load = angle / bench.value("gear_ratio") + 1e-4 * np.sign(speed)
     made = {
+        "time_s": time,
         "motor_position_rad": np.round(angle / count) * count,
         "motor_speed_rpm": RPM_PER_RAD_PER_S * (speed + count * rng.standard_normal(time.size)),
         "motor_torque_nm": torque,
         "motor_current_a": torque / bench.value("torque_constant_nm_per_a"),
         "load_position_rad": load + 1e-6 * rng.standard_normal(time.size),
     }
-    table = np.column_stack([time, *(made[channel] for channel in machine.channels)])
-    header = ",".join(("time_s", *machine.channels))
-    np.savetxt(name, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    write_csv({channel: made[channel] for channel in ("time_s", *machine.channels)}, Path(name))
 
 
 def unit_of(law: RigidLaw, motion: Motion, shape: Mapping[str, float]) -> dict[str, float]:
@@ -351,8 +342,7 @@ def write_turning(name: str, rng: np.random.Generator, bench: Bench) -> None:
     }
     if rng.random() < 0.8:
         columns["motor_current_a"] = current + 0.02 * noise * rng.standard_normal(speed.size)
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(name, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    write_csv(columns, Path(name))
 
 
 JOINTS: Mapping[str, Callable[[np.random.Generator], list[list[str]]]] = {

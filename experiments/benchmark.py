@@ -27,9 +27,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-
-sys.path.append(str(Path(__file__).parent))
-
 from made_recordings import synthetic_recording
 
 from bayesbl.config.bench import load_bench

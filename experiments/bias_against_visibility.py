@@ -21,8 +21,9 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from pydantic import Field
 from scipy.special import erf
+from study_tools import StudyRow
 
 from bayesbl.bench.effects import EFFECTS, effect_named, search_scale
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
@@ -40,21 +41,17 @@ LAWS = tuple(e.name for e in EFFECTS if e.sought_in_loop and not e.is_periodic)
 NAMES = (*LAWS, *CORRECTABLE_PARAMETERS)
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: one recording at each speed, all of one gap.
 
     ``spread``: benches are drawn within this factor, one over it to it, in stiffness, damping,
     inertias, gravity and gains.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     speeds_rpm: tuple[float, ...]
     with_current: bool = True
     spread: float = Field(ge=1.0)
     gap_rad: tuple[float, float]
-    benches: PositiveInt
 
 
 COLUMNS = {
@@ -65,11 +62,6 @@ COLUMNS = {
         ("hides", "chance that z is below 3 at the usual size"),
     )
 }
-
-
-def count(row: Row) -> int:
-    """Number of benches."""
-    return row.benches
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:

@@ -17,7 +17,6 @@ shipped, coverage is reported and ranks are not tested.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,21 +25,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    NonNegativeInt,
-    PositiveInt,
-    Strict,
-    model_validator,
-)
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import rank
 from calibration_table import calibration_line
-from independent_bench import Plant, plant, simulate
+from independent_bench import plant, simulate, values_of
 from made_recordings import draw_symbols, drifting, synthetic_recording, with_samples_lost
 from outside_noise import (
     around_impacts,
@@ -49,19 +36,16 @@ from outside_noise import (
     unlike_impacts,
     varied_speed,
 )
+from pydantic import Field, NonNegativeInt, PositiveInt, Strict, model_validator
+from study_tools import SNAPSHOTS, StudyRow, curve_of, fit_pair, is_withheld
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.bench.simulation import SpeedSource
 from bayesbl.config.bench import load_bench
 from bayesbl.config.sections import Items, refuse
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
-from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
-from bayesbl.measurement.measurement import outcome_of
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate
@@ -78,8 +62,6 @@ SAMPLERS = {
     # Enough draws for a rank, at a third of the time; it stops before its bounds are stable.
     "short": SamplerSettings(ensembles=2, max_steps=500),
 }
-FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
-SNAPSHOTS = ("before", "after")
 
 SYMBOLS = {"amplitude": AMPLITUDE, "decay_rate": DECAY, "frequency": FREQUENCY}
 """What is studied on recordings of the disturbance model: name in the table to symbol."""
@@ -101,7 +83,7 @@ ENCODER_SD_RPM = 0.5
 CURRENT_NOISE_SD_A = 0.05
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: what is simulated, and how it is fitted.
 
     Without ``bench``, recordings are the disturbance model's own. ``gap_rad`` is one gap, or
@@ -120,10 +102,6 @@ class Row(BaseModel):
     ``encoder_counts``, with no other noise; ``drift_share``, growth of the speed from start to end.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    cases: PositiveInt
     bench: Path | None = None
     curve: Path | None = None
     route: Literal["amplitude", "direct"] = "amplitude"
@@ -211,11 +189,6 @@ class Answer:
     withheld: bool
 
 
-def count(row: Row) -> int:
-    """Number of pairs of recordings, or of recordings of the disturbance model."""
-    return row.cases
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """From truth to ranks."""
     truth_seed, fit_seed, rank_seed = seed.spawn(3)
@@ -230,7 +203,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         answers = [_directly(row, bench, recordings, fit_seed)]
     else:
         wanted = [row.posterior, *(["emcee"] if index < row.emcee_cases else [])]
-        answers = _by_amplitude(_curve(row.curve), recordings, fit_seed, wanted)
+        answers = _by_amplitude(curve_of(row.curve), recordings, fit_seed, wanted)
     return _of_gaps(row, truths, answers, np.random.default_rng(rank_seed))
 
 
@@ -322,15 +295,9 @@ def _directly(
 ) -> Answer:
     """The direct route's answer for both recordings together."""
     assert isinstance(row.gap_rad, tuple)
-    seen = [
-        observed(replace(recording, name=name), bench)
-        for recording, name in zip(recordings, SNAPSHOTS, strict=True)
-    ]
-    found = fit_directly(bench, seen, row.gap_rad, {}, FAST_DIRECT, seed)
-    posterior = found.posterior
-    withheld = any(outcome_of(direct_reasons(found, place)) == "withheld" for place in (0, 1))
-    before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
-    return Answer((before, after), withheld)
+    found = fit_pair(bench, recordings, row.gap_rad, seed)
+    before, after = (found.posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
+    return Answer((before, after), is_withheld(found))
 
 
 def _of_gaps(
@@ -385,8 +352,7 @@ def _recorded_outside(
     row: Row, bench: Bench, gap_rad: float, start_angle_rad: float, generator: np.random.Generator
 ) -> Recording:
     """Of the independent bench, noise added here."""
-    values = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
-    values = {k: v for k, v in values.items() if k in Plant._fields}
+    values = values_of(bench)
     motor = generator.uniform(0.0, 2.0 * math.pi)
     angles = {"start_angle_rad": start_angle_rad, "motor_start_angle_rad": motor}
     made = simulate(
@@ -415,11 +381,6 @@ def _recorded_outside(
 
 def _noise(row: Row) -> NoiseModel:
     return NoiseModel(row.speed_noise_sd_rpm, row.coefficients, row.degrees_of_freedom)
-
-
-@cache
-def _curve(path: Path) -> GapCurve:
-    return read_curve(path)
 
 
 @cache

@@ -16,9 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import (
     FALSE_ALARM,
     LEVELS,

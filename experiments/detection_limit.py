@@ -12,45 +12,36 @@ that is reported at 95 %, in 95 % of pairs.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import coverage_band
-from independent_bench import Noise, plant, simulate
+from independent_bench import Noise, plant, simulate, values_of
+from pydantic import NonNegativeFloat
+from study_tools import LEVEL, SNAPSHOTS, StudyRow, bench_of, inside, random_start, without_current
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.parameters import BENCH_PARAMETERS
-from bayesbl.config.bench import load_bench
 from bayesbl.config.sections import Items
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, SMALLEST_GAP_RAD
 from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, outcome_of, upper_bound
 from bayesbl.probabilities import TOO_FEW, normal_isf
-from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RANGE_RAD = (0.0, 1e-2)
-SNAPSHOTS = ("before", "after")
-LEVEL = 0.9
 POWER = 0.95
 NOISE = Noise()
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: the bench as it is known, gaps and changes that take turns, and what is not usual.
 
     ``noise``: times that of the shipped example; ``payload``: times the bench's gravity and
@@ -58,13 +49,9 @@ class Row(BaseModel):
     compression of one radian, that the bench lacks.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
     gaps_rad: Items[NonNegativeFloat] = (5e-5,)
     change_rad: float = 2e-5
-    pairs: PositiveInt
     noise: NonNegativeFloat = 1.0
     speed_rpm: float = 2000.0
     payload: float = 1.0
@@ -88,11 +75,6 @@ COLUMNS = {
     "change_sd_rad": ("rad", "standard deviation of the change"),
     "probability_increase": ("1", "posterior probability that the gap grew"),
 }
-
-
-def count(row: Row) -> int:
-    """Number of pairs."""
-    return row.pairs
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
@@ -131,13 +113,13 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         "answered": float(answered.sum()),
         "contradicted": float(own["contradicted"].sum()),
         "told": float(told.sum()),
-        "held": float(_holds(own["below"][told]).sum()),
+        "held": float(inside(own["below"][told]).sum()),
         "bounds_hold": float(np.sum((own["gap_rad"] <= own["upper_rad"])[bounded])),
         "bounds": float(bounded.sum()),
         "median_bound_mrad": 1e3 * float(np.median(own["upper_rad"][bounded]))
         if bounded.any()
         else math.nan,
-        "changes_held": float(_holds(own["change_below"][answered]).sum()),
+        "changes_held": float(inside(own["change_below"][answered]).sum()),
         "held_from": coverage_band(int(told.sum()), LEVEL)[0] if told.any() else math.nan,
     }
     tail, power = normal_isf(1.0 - UPPER_BOUND_LEVEL), normal_isf(1.0 - POWER)
@@ -181,13 +163,8 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
     return drawn
 
 
-def _holds(below: FloatArray) -> BoolArray:
-    return np.abs(below - 0.5) < 0.5 * LEVEL
-
-
-@cache
 def _bench(row: Row) -> Bench:
-    bench = load_bench(row.bench)
+    bench = bench_of(row.bench)
     scaled = {
         name: row.payload * bench.value(name)
         for name in ("gravity_torque_nm", "load_inertia_kg_m2")
@@ -207,12 +184,10 @@ def _recorded(
     )
     recordings = []
     for name, gap in zip(SNAPSHOTS, (gap_rad, gap_rad + row.change_rad), strict=True):
-        start, motor = generator.uniform(-math.pi, math.pi, 2)
         truth = plant(
-            {info.name: drawn.value(info.name) for info in BENCH_PARAMETERS},
+            values_of(drawn),
             gap_rad=gap,
-            start_angle_rad=start,
-            motor_start_angle_rad=motor,
+            **random_start(generator),
             contact_softness__variance_rad2=row.edge_sd_rad**2,
             outside__contact_damping_nm_s_per_rad=row.damping,
         )
@@ -224,10 +199,5 @@ def _recorded(
             sampling_hz=row.sampling_hz,
             noise=noise,
         ).recording
-        recordings.append(observed(made if row.with_current else _without_current(made), bench))
+        recordings.append(observed(made if row.with_current else without_current(made), bench))
     return recordings
-
-
-def _without_current(recording: Recording) -> Recording:
-    kept = {name: own for name, own in recording.channels.items() if name != MOTOR_CURRENT}
-    return replace(recording, channels=kept)

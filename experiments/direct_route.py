@@ -9,50 +9,35 @@ cases of each row the one weighted by full simulations is computed too.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import LEVELS, coverage
+from pydantic import Field, NonNegativeInt
+from study_tools import FAST, TurningRow, bench_of, turned
 
-from bayesbl.bench.bench import Bench
-from bayesbl.config.bench import load_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown, tolerance_unknowns
 from bayesbl.matching.surrogate import simulated_chi_square
-from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.importance import effective_size
 
-FAST = SamplerSettings(ensembles=2, max_steps=1000)
 
-
-class Row(BaseModel):
+class Row(TurningRow):
     """A row: the bench as it is known, and the gap. What has a tolerance is drawn within it.
 
     ``full_cases``: how many cases are sampled in full too.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
-    cases: PositiveInt
     gap_rad: float = Field(gt=0.0)
     full_cases: NonNegativeInt = 0
     lowest_gap_rad: float = Field(default=1e-4, gt=0.0)
     highest_gap_rad: float = Field(default=1e-2, gt=0.0)
-    rotations: float = 5.0
-    sampling_hz: float = 1000.0
 
 
 COLUMNS = {
@@ -69,23 +54,12 @@ COLUMNS = {
 }
 
 
-def count(row: Row) -> int:
-    """Number of recordings."""
-    return row.cases
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One recording from truth to posterior."""
     truth_seed, walk_seed, _ = seed.spawn(3)
     generator = np.random.default_rng(truth_seed)
-    bench = _bench(row.bench)
-    recording = bench.draw(generator).simulate(
-        row.gap_rad,
-        rotations=row.rotations,
-        sampling_hz=row.sampling_hz,
-        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
-        seed=generator,
-    )
+    bench = bench_of(row.bench)
+    recording = turned(bench.draw(generator), row.gap_rad, row, generator)
     unknowns = [
         gap_unknown(row.lowest_gap_rad, row.highest_gap_rad),
         start_angle_unknown(recording.name),
@@ -154,8 +128,3 @@ def _weighted(found: DirectPosterior | None, truth: float) -> dict[str, float]:
         "full_rank": float(weights @ (log_gap < truth)),
         "effective": effective_size(log_weights) / log_gap.size,
     }
-
-
-@cache
-def _bench(path: Path) -> Bench:
-    return load_bench(path)

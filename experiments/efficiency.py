@@ -13,45 +13,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from pydantic import Field
+from study_tools import FAST, TurningRow, bench_of, curve_of, normal_ringing, turned
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.bench import load_bench
-from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
+from bayesbl.measurement.gap_by_curve import gaps
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
-from bayesbl.ringing.estimator import Estimator
-from bayesbl.sampling.chains import SamplerSettings
 
-FAST = SamplerSettings(ensembles=2, max_steps=1000)
 RANGE_RAD = (5e-5, 1e-2)
 """Of the direct route's prior, log-uniform: wider than any answer."""
 
 WAYS = ("direct", "direct_speed", "amplitude")
 
 
-class Row(BaseModel):
+class Row(TurningRow):
     """A row: one gap on one bench that is known exactly, and the curve swept on it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
     curve: Path
-    cases: PositiveInt
     gap_rad: float = Field(gt=0.0)
-    rotations: float = 5.0
-    sampling_hz: float = 1000.0
 
 
 COLUMNS = {
@@ -66,27 +54,19 @@ COLUMNS = {
 }
 
 
-def count(row: Row) -> int:
-    """Number of recordings."""
-    return row.cases
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One recording through all routes."""
     truth_seed, both_seed, speed_seed, fit_seed, gap_seed = seed.spawn(5)
     generator = np.random.default_rng(truth_seed)
-    bench = _bench(row.bench)
-    recording = bench.simulate(
-        row.gap_rad,
-        rotations=row.rotations,
-        sampling_hz=row.sampling_hz,
-        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
-        seed=generator,
-    )
+    bench = bench_of(row.bench)
+    recording = turned(bench, row.gap_rad, row, generator)
     speed_only = replace(recording, channels={MOTOR_SPEED: recording.motor_speed_rpm})
     bound, both = _direct(bench, recording, both_seed)
     bound_speed, alone = _direct(bench, speed_only, speed_seed)
-    amplitude = _by_amplitude(_curve(row.curve), speed_only, generator, fit_seed, gap_seed)
+    curve = curve_of(row.curve)
+    ringing = normal_ringing(curve, speed_only, fit_seed, generator)
+    (gap,) = gaps([curve], [ringing], gap_seed)
+    amplitude = np.log(gap.delta_rad)
     result = {"bound": bound, "bound_speed": bound_speed}
     for way, log_gap in zip(WAYS, (both, alone, amplitude), strict=True):
         result[f"{way}_sd"] = float(log_gap.std())
@@ -117,29 +97,3 @@ def _direct(
     fit = fit_aligned(bench, [observed(recording, bench)], unknowns)
     draws = sample_direct(fit, FAST, seed)
     return float(fit.bound[fit.model.index(GAP)]), np.log(draws.values(GAP)).ravel()
-
-
-def _by_amplitude(
-    curve: GapCurve,
-    recording: Recording,
-    generator: np.random.Generator,
-    fit_seed: np.random.SeedSequence,
-    gap_seed: np.random.SeedSequence,
-) -> FloatArray:
-    """Draws of ln δ."""
-    estimator = Estimator()
-    point = likeliest_branch(curve, estimator, estimator.estimate(recording, fit_seed))
-    centre, covariance = point.ringing
-    draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
-    (found,) = gaps([curve], [MeasuredRinging(draws, centre, covariance)], gap_seed)
-    return np.asarray(np.log(found.delta_rad).ravel())
-
-
-@cache
-def _bench(path: Path) -> Bench:
-    return load_bench(path)
-
-
-@cache
-def _curve(path: Path) -> GapCurve:
-    return read_curve(path)

@@ -9,22 +9,17 @@ noise. All of them are read through the same curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from functools import cache
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from pydantic import Field
 from scipy.optimize import least_squares
+from study_tools import TurningRow, bench_of, curve_of, listed, turned
 
-from bayesbl.bench.bench import Bench
-from bayesbl.config.bench import load_bench
 from bayesbl.config.sections import Items
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
-from bayesbl.measurement.curves import read_curve
-from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.symbols import (
@@ -54,20 +49,14 @@ ESTIMATORS = (*MODELS, GENERALISED)
 _SEARCHED = (START, DECAY, FREQUENCY, SEPARATION, ROTATION)
 
 
-class Row(BaseModel):
+class Row(TurningRow):
     """A row: recordings at several gaps in turn, and the curve that all are read through."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
     curve: Path
     gaps_rad: Items[float] = Field(min_length=1)
-    recordings: PositiveInt
     speed_noise_sd_rpm: float = Field(default=1.5, gt=0.0)
     coefficients: Items[float] = (0.6,)
-    rotations: float = 5.0
-    sampling_hz: float = 1000.0
 
 
 COLUMNS = {
@@ -79,21 +68,16 @@ COLUMNS = {
 
 def count(row: Row) -> int:
     """Number of recordings, over all gaps."""
-    return row.recordings * len(row.gaps_rad)
+    return row.cases * len(row.gaps_rad)
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One recording, fitted by every estimator."""
     truth_seed, *fit_seeds = seed.spawn(1 + len(MODELS))
     generator = np.random.default_rng(truth_seed)
-    gap, curve = row.gaps_rad[index % len(row.gaps_rad)], _curve(row.curve)
-    recording = _bench(row).simulate(
-        gap,
-        rotations=row.rotations,
-        sampling_hz=row.sampling_hz,
-        start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
-        seed=generator,
-    )
+    gap, curve = row.gaps_rad[index % len(row.gaps_rad)], curve_of(row.curve)
+    bench = bench_of(row.bench, row.speed_noise_sd_rpm, *row.coefficients)
+    recording = turned(bench, gap, row, generator)
     amplitude: dict[str, float] = {}
     result = {"gap_rad": gap}
     for (name, model), own in zip(MODELS.items(), fit_seeds, strict=True):
@@ -113,16 +97,16 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Mean error of each estimator at each gap in percent of δ, with its standard error."""
     gap = cases["gap_rad"].values
     line: dict[str, float | str] = {
-        "gaps_mrad": _listed(1e3 * g for g in row.gaps_rad),
-        "claimed_sd_%": _listed(
+        "gaps_mrad": listed(1e3 * g for g in row.gaps_rad),
+        "claimed_sd_%": listed(
             100.0 * float(np.mean(cases["log_sd"].values[gap == g])) for g in row.gaps_rad
         ),
     }
     for name in ESTIMATORS:
         error = 100.0 * cases[f"{name}_error"].values
-        line[f"{name}_%"] = _listed(float(np.mean(error[gap == g])) for g in row.gaps_rad)
-        line[f"{name}_se_%"] = _listed(
-            float(np.std(error[gap == g])) / math.sqrt(row.recordings) for g in row.gaps_rad
+        line[f"{name}_%"] = listed(float(np.mean(error[gap == g])) for g in row.gaps_rad)
+        line[f"{name}_se_%"] = listed(
+            float(np.std(error[gap == g])) / math.sqrt(row.cases) for g in row.gaps_rad
         )
     return line
 
@@ -157,19 +141,3 @@ def _log_sd(curve: GapCurve, point: PointEstimate) -> float:
     amplitude = np.array([centre[0]])
     scatter = float(curve.start_angle_sd(amplitude)[0])
     return float(curve.log_slope(amplitude)[0]) * math.hypot(math.sqrt(covariance[0, 0]), scatter)
-
-
-def _listed(numbers: Iterable[float]) -> str:
-    return " ".join(f"{x:.5g}" for x in numbers)
-
-
-@cache
-def _curve(path: Path) -> GapCurve:
-    return read_curve(path)
-
-
-@cache
-def _bench(row: Row) -> Bench:
-    bench = load_bench(row.bench)
-    noise = NoiseModel(row.speed_noise_sd_rpm, row.coefficients)
-    return replace(bench, measurement=replace(bench.measurement, speed_noise=noise))

@@ -14,49 +14,40 @@ A row that changes nothing counts how many sound pairs are withheld.
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt
-from scipy.signal import lfilter
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import coverage_band
-from independent_bench import Plant, plant, simulate
+from independent_bench import plant, simulate, values_of
+from pydantic import Field, NonNegativeFloat
+from scipy.signal import lfilter
+from study_tools import (
+    LEVEL,
+    SNAPSHOTS,
+    StudyRow,
+    bench_of,
+    curve_of,
+    fit_pair,
+    is_withheld,
+    random_start,
+    without_current,
+)
 from wear_detection import gaps_by_amplitude
 
-from bayesbl.bench.bench import Bench
-from bayesbl.config.bench import load_bench
-from bayesbl.curve.gap_curve import GapCurve
-from bayesbl.matching.observed import observed
-from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.direct_route import (
-    DirectMatch,
-    check_of_comparison,
-    direct_reasons,
-    fit_directly,
-)
-from bayesbl.measurement.measurement import outcome_of
-from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
-from bayesbl.sampling.chains import SamplerSettings
+from bayesbl.measurement.direct_route import DirectMatch, check_of_comparison
+from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 
 CALLED_AT = 0.95
 """Probability of an increase from which on it is called wear."""
 
-LEVEL = 0.9
 GAP_RANGE_RAD = (1e-4, 1e-2)
-FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=1000)
-SNAPSHOTS = ("before", "after")
 ANSWERS = ("direct", "speed", "amplitude")
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: what changes in the joint before its second recording.
 
     ``multiplied``: bench parameters by a factor. ``added``: parameters of effects, as
@@ -64,16 +55,12 @@ class Row(BaseModel):
     outside the loop.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
     curve: Path
     multiplied: dict[str, float] = Field(default_factory=dict)
     added: dict[str, float] = Field(default_factory=dict)
     recorder_lag_s: NonNegativeFloat = 0.0
     gap_rad: float = Field(gt=0.0)
-    pairs: PositiveInt
 
 
 COLUMNS = {
@@ -88,28 +75,19 @@ COLUMNS = {
 }
 
 
-def count(row: Row) -> int:
-    """Number of pairs."""
-    return row.pairs
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One pair, answered in all three ways."""
     truth_seed, fit_seed = seed.spawn(2)
     generator = np.random.default_rng(truth_seed)
     recordings = [_recorded(row, name, generator) for name in SNAPSHOTS]
-    bench = _bench(row.bench)
-    full = _matched(bench, recordings, fit_seed)
-    silent = [
-        replace(r, channels={k: v for k, v in r.channels.items() if k != MOTOR_CURRENT})
-        for r in recordings
-    ]
-    alone = _matched(bench, silent, fit_seed)
-    before, after, extreme = gaps_by_amplitude(_curve(row.curve), recordings, fit_seed)
+    bench = bench_of(row.bench)
+    full = fit_pair(bench, recordings, GAP_RANGE_RAD, fit_seed)
+    alone = fit_pair(bench, [*map(without_current, recordings)], GAP_RANGE_RAD, fit_seed)
+    before, after, extreme = gaps_by_amplitude(curve_of(row.curve), recordings, fit_seed)
     changed = {*row.multiplied, *row.added}
     return {
-        **_columns("direct", full.change_rad, _withheld(full), _listed(full, changed)),
-        **_columns("speed", alone.change_rad, _withheld(alone), _listed(alone, changed)),
+        **_columns("direct", full.change_rad, is_withheld(full), _listed(full, changed)),
+        **_columns("speed", alone.change_rad, is_withheld(alone), _listed(alone, changed)),
         **_columns(
             "amplitude",
             after - before,
@@ -153,14 +131,12 @@ def _columns(answer: str, change_rad: FloatArray, withheld: bool, listed: bool) 
 
 def _recorded(row: Row, snapshot: str, generator: np.random.Generator) -> Recording:
     """A recording from a random start; the second one of the changed joint."""
-    bench = _bench(row.bench)
-    values = {n: p.value for n, p in bench.parameters.items() if n in Plant._fields}
+    values = values_of(bench_of(row.bench))
     later = snapshot == SNAPSHOTS[1]
     if later:
         values |= {name: factor * values[name] for name, factor in row.multiplied.items()}
         values |= row.added
-    start, motor = generator.uniform(-math.pi, math.pi, 2)
-    truth = plant(values, gap_rad=row.gap_rad, start_angle_rad=start, motor_start_angle_rad=motor)
+    truth = plant(values, gap_rad=row.gap_rad, **random_start(generator))
     recording = simulate(truth, generator, name=snapshot).recording
     if later and row.recorder_lag_s > 0.0:
         keep = math.exp(-recording.sampling_period_s / row.recorder_lag_s)
@@ -170,30 +146,8 @@ def _recorded(row: Row, snapshot: str, generator: np.random.Generator) -> Record
     return recording
 
 
-def _matched(
-    bench: Bench, recordings: Sequence[Recording], seed: np.random.SeedSequence
-) -> DirectMatch:
-    seen = [observed(recording, bench) for recording in recordings]
-    return fit_directly(bench, seen, GAP_RANGE_RAD, {}, FAST_DIRECT, seed)
-
-
-def _withheld(found: DirectMatch) -> bool:
-    each = [direct_reasons(found, index, level=LEVEL) for index in range(len(SNAPSHOTS))]
-    return any(outcome_of(reasons) == "withheld" for reasons in each)
-
-
 def _listed(found: DirectMatch, changed: set[str]) -> bool:
     """Whether something that changed is named, or listed as what would pass unseen."""
     named = {c.name for c in found.joint.changed}
     spots = check_of_comparison(found.joint, found.change_rad, LEVEL, is_given=True)["blind_spots"]
     return bool(changed & named) or any(s["name"] in changed for s in spots)
-
-
-@cache
-def _curve(path: Path) -> GapCurve:
-    return read_curve(path)
-
-
-@cache
-def _bench(path: Path) -> Bench:
-    return load_bench(path)

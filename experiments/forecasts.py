@@ -25,7 +25,8 @@ from typing import Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from pydantic import Field
+from study_tools import StudyRow, listed, mean
 
 from bayesbl.config.sections import Items
 from bayesbl.measurement.wear import wear
@@ -49,17 +50,14 @@ Growth = Callable[[FloatArray], FloatArray]
 """Share of the way to the limit, 0 when new, against the age in (expected) lives."""
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: one law of wear, ``cases`` joints with each number of ``dates``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     law: Literal[
         "linear", "running_in", "quadratic", "power", "exponential", "logistic", "gamma", "steps",
         "square_root", "power_0.6", "kink", "bathtub", "slowing",
     ]  # fmt: skip
     dates: Items[int] = Field(min_length=1)
-    cases: PositiveInt
 
 
 COLUMNS = {
@@ -134,22 +132,14 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     of = [np.flatnonzero(given["dates"].values == n) for n in row.dates]
     for name, holds in shares.items():
         line[name] = float(holds.mean())
-        line[f"{name}_by_dates"] = _list(float(holds.values[each].mean()) for each in of)
+        line[f"{name}_by_dates"] = listed((float(holds.values[each].mean()) for each in of), 3)
     width, error = (given["high"] - given["low"]) / truth, given["median"] / truth
-    line["width_by_dates"] = _list(float(np.median(width.values[each])) for each in of)
-    line["median_by_dates"] = _list(float(np.median(error.values[each])) for each in of)
+    line["width_by_dates"] = listed((float(np.median(width.values[each])) for each in of), 3)
+    line["median_by_dates"] = listed((float(np.median(error.values[each])) for each in of), 3)
     near, at_half = given["near_remaining"].values > 0.5, given["last_at"].values == 0.5
-    line["alpha_lambda_by_dates"] = _list(_mean(near[each][at_half[each]]) for each in of)
-    line["horizon_by_dates"] = _list(_horizon(given.isel(case=each)) for each in of)
+    line["alpha_lambda_by_dates"] = listed((mean(near[each][at_half[each]]) for each in of), 3)
+    line["horizon_by_dates"] = listed((_horizon(given.isel(case=each)) for each in of), 3)
     return line
-
-
-def _list(values: object) -> str:
-    return " ".join(f"{value:.3g}" for value in values)  # type: ignore[attr-defined]
-
-
-def _mean(values: FloatArray) -> float:
-    return float(np.mean(values)) if values.size else float("nan")
 
 
 def _horizon(cases: xr.Dataset) -> float:

@@ -19,21 +19,18 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
-from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
+from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings, values_of
+from pydantic import Field
+from study_tools import StudyRow, mean
 
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import CHANNELS, Findings, diagnosis_of, search
 from bayesbl.diagnosis.diagnosis import Diagnosis
@@ -107,7 +104,7 @@ PAIRS = tuple(
 )
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: what is hidden, how strong, seen at which speeds.
 
     ``hide``: ``effect`` goes through the catalogue case by case, ``pair`` draws two of it,
@@ -115,10 +112,6 @@ class Row(BaseModel):
     ``sampled`` samples the posterior of δ too, to compare the Laplace approximation with it.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    cases: PositiveInt
     hide: Literal["effect", "nothing", "pair", "outside", "parameter"]
     which: str | None = None
     strength: float = Field(1.0, gt=0.0)
@@ -159,11 +152,6 @@ class Hidden(NamedTuple):
     settings: Mapping[str, float]
 
 
-def count(row: Row) -> int:
-    """Number of datasets."""
-    return row.cases
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One dataset, diagnosed and compared with the truth."""
     data_seed, sampling_seed = seed.spawn(2)
@@ -185,7 +173,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 def hide(row: Row, index: int, generator: np.random.Generator) -> Hidden:
     """What a case hides."""
-    values = believed()
+    values = values_of(reference_bench())
     if row.hide == "nothing":
         return Hidden((), values, {})
     if row.hide == "outside":
@@ -210,31 +198,31 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     line: dict[str, float | str] = {"n": float(len(scores))}
     verdicts = [VERDICTS[int(v)] for v in cases["verdict"].values]
     line |= {name: float(verdicts.count(name)) for name in VERDICTS}
-    line["false_name"] = _mean([bool(s.false) for s in scores])
+    line["false_name"] = mean([bool(s.false) for s in scores])
     if any(s.truth for s in scores):
         clear = [s for s in scores if s.clear]
         other = [s for s in scores if not s.clear and s.visible]
         faint = [s for s in scores if not s.visible]
         line |= {
-            "all_named": _mean([s.all_first for s in scores]),
-            "all_held": _mean([s.all_held for s in scores]),
+            "all_named": mean([s.all_first for s in scores]),
+            "all_held": mean([s.all_held for s in scores]),
             "clear": float(len(clear)),
-            "clear_named": _mean([s.all_first and not s.false for s in clear]),
+            "clear_named": mean([s.all_first and not s.false for s in clear]),
             "close": float(len(other)),
-            "close_held": _mean([s.all_held for s in other]),
+            "close_held": mean([s.all_held for s in other]),
             "faint": float(len(faint)),
-            "faint_false": _mean([bool(s.false) for s in faint]),
-            "set_size": _mean([size for s in scores for size in s.sizes]),
+            "faint_false": mean([bool(s.false) for s in faint]),
+            "set_size": mean([size for s in scores for size in s.sizes]),
         }
     named = np.array([bool(s.sizes) for s in scores])
     for name, enough in (("closed_used", 0.95), ("closed_held_out", 0.9)):
         closed = cases[name].values[named]
         line[f"median_{name}"] = float(np.median(closed)) if closed.size else math.nan
-        line[f"enough_{name}"] = _mean(list(closed >= enough))
+        line[f"enough_{name}"] = mean(list(closed >= enough))
     for stage in ("before", "after"):
         errors = cases[f"delta_z_{stage}"].values
         errors = errors[np.isfinite(errors)]
-        line[f"cover_90_{stage}"] = _mean(list(np.abs(errors) < LEVEL_SD))
+        line[f"cover_90_{stage}"] = mean(list(np.abs(errors) < LEVEL_SD))
         ratios = np.abs(np.log(cases[f"delta_ratio_{stage}"].values))
         line[f"delta_factor_{stage}"] = float(np.exp(np.nanmedian(ratios)))
     if "sampled_sd_ratio" in cases:
@@ -303,13 +291,6 @@ def write_confusion(groups: Mapping[str, xr.Dataset], file: Path) -> None:
         writer.writerow(["row", "hidden", *answers])
         for (row, truth), counts in lines.items():
             writer.writerow([row, truth, *(counts[a] or "" for a in answers)])
-
-
-@cache
-def believed() -> dict[str, float]:
-    bench = reference_bench()
-    every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
-    return {name: value for name, (value, default) in every.items() if value != default}
 
 
 def _strong(name: str, strength: float) -> dict[str, float]:
@@ -444,10 +425,6 @@ def _bits(names: Sequence[str]) -> float:
 def _names(bits: float) -> tuple[str, ...]:
     whole = 0 if math.isnan(bits) else int(bits)
     return tuple(name for k, name in enumerate(NAMES) if whole >> k & 1)
-
-
-def _mean(values: Sequence[float | bool]) -> float:
-    return float(np.mean(values)) if len(values) else math.nan
 
 
 def _main() -> None:

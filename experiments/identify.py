@@ -15,35 +15,37 @@ each case, is wrong besides: it has to be named, and nothing is measured later.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import coverage_band
-from independent_bench import RPM, plant, simulate, simulate_moving, strokes
+from independent_bench import RPM, plant, simulate, simulate_moving, strokes, values_of
+from pydantic import NonNegativeFloat
+from study_tools import (
+    LEVEL,
+    StudyRow,
+    held,
+    interval_of,
+    is_withheld,
+    mean,
+    random_start,
+    without_current,
+)
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
-from bayesbl.bench.steady import contact_matrices
+from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import reference_bench
 from bayesbl.identification.groups import reason_of
 from bayesbl.identification.identify import Problem, identified_bench, identify, parameter_draws
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import DirectMatch, direct_reasons, fit_directly
-from bayesbl.measurement.measurement import outcome_of
-from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
+from bayesbl.measurement.direct_route import fit_directly
 from bayesbl.sampling.chains import SamplerSettings
 
-LEVEL = 0.9
 GEAR_RATIO = (50.0, 200.0)
 FACTOR = 2.0
 SHEET_TOLERANCE = 0.25
@@ -67,17 +69,13 @@ STROKES_ALONE = ((1.0, 1.0), (0.5, 1.0), (1.0, 0.3))
 FAST_DIRECT = SamplerSettings(ensembles=2, max_steps=8000)
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """``wrong``: 0 for a data sheet within its tolerance; ``current``: whether it is recorded.
 
     ``strokes``: they are the third recording. ``strokes_alone``: all recordings are of strokes, the
     later pair too, as of a joint that cannot turn round.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    joints: PositiveInt
     current: bool = True
     strokes: bool = False
     strokes_alone: bool = False
@@ -112,11 +110,6 @@ COLUMNS = {
         )
     },
 }
-
-
-def count(row: Row) -> int:
-    """Number of joints."""
-    return row.joints
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
@@ -181,46 +174,46 @@ def measured(
     return {
         f"{prefix or 'pair_'}withheld": float(is_withheld(match)),
         f"gap_{prefix}covered": held(gap, gaps_rad[1]),
-        f"gap_{prefix}width_rad": width(gap),
+        f"gap_{prefix}width_rad": float(np.ptp(interval_of(gap))),
         f"change_{prefix}covered": held(change, gaps_rad[1] - gaps_rad[0]),
-        f"change_{prefix}width_rad": width(change),
+        f"change_{prefix}width_rad": float(np.ptp(interval_of(change))),
     }
 
 
-def is_withheld(match: DirectMatch) -> bool:
-    """Whether a gap or the change is."""
-    each = [direct_reasons(match, index, level=LEVEL) for index in (0, 1)]
-    return any(outcome_of(reasons) == "withheld" for reasons in each)
-
-
-def random_joint(rng: np.random.Generator) -> Bench:
+def random_joint(
+    rng: np.random.Generator,
+    factor: float = FACTOR,
+    gear_ratio: tuple[float, float] | None = GEAR_RATIO,
+) -> Bench:
     """A bench known exactly, with a stable loop and a drive that lifts its load."""
     reference = reference_bench()
     while True:
         values = {name: reference.value(name) for name in reference.parameters}
-        values["gear_ratio"] = math.exp(rng.uniform(*np.log(GEAR_RATIO)))
+        if gear_ratio is not None:
+            values["gear_ratio"] = math.exp(rng.uniform(*np.log(gear_ratio)))
         for name in CORRECTABLE_PARAMETERS:
-            values[name] *= FACTOR ** rng.uniform(-1.0, 1.0)
+            values[name] *= factor ** rng.uniform(-1.0, 1.0)
         bench = Bench({name: BenchParameter(value) for name, value in values.items()})
-        poles = np.linalg.eigvals(contact_matrices(bench.vector())[0])
-        slowest = float(poles.real[np.abs(poles) > 1e-9].max())
+        slowest = float(np.max(contact_rates(bench.vector()).real))
         torque = values["torque_constant_nm_per_a"] * values["current_limit_a"]
         share = values["gravity_torque_nm"] / values["gear_ratio"] / torque
         if slowest < -SLOWEST_DECAY_PER_S and share < LARGEST_CURRENT_SHARE:
             return bench
 
 
-def data_sheet(joint: Bench, wrong: float, rng: np.random.Generator) -> tuple[Bench, str | None]:
+def data_sheet(
+    joint: Bench, wrong: float, rng: np.random.Generator, off: float = SHEET_TOLERANCE
+) -> tuple[Bench, str | None]:
     """Values from which the true ones are off uniformly within the tolerance; one wrong besides."""
     parameters = dict(joint.parameters)
     for name in CORRECTABLE_PARAMETERS:
-        value = joint.value(name) / (1.0 + SHEET_TOLERANCE * rng.uniform(-1.0, 1.0))
-        parameters[name] = BenchParameter(value, SHEET_TOLERANCE * value)
+        value = joint.value(name) / (1.0 + off * rng.uniform(-1.0, 1.0))
+        parameters[name] = BenchParameter(value, off * value)
     if not wrong:
         return replace(joint, parameters=parameters), None
     name = str(rng.choice(CORRECTABLE_PARAMETERS))
     value = joint.value(name) * wrong
-    parameters[name] = BenchParameter(value, SHEET_TOLERANCE * value)
+    parameters[name] = BenchParameter(value, off * value)
     return replace(joint, parameters=parameters), name
 
 
@@ -228,22 +221,10 @@ def recorded(
     row: Row, joint: Bench, gap_rad: float, speed_rpm: float, name: str, rng: np.random.Generator
 ) -> Observed:
     """A recording from a random start."""
-    start, motor = rng.uniform(-math.pi, math.pi, 2)
-    values = {parameter: item.value for parameter, item in joint.parameters.items()}
-    truth = plant(
-        values
-        | {
-            "gap_rad": gap_rad,
-            "reference_speed_rpm": speed_rpm,
-            "start_angle_rad": start,
-            "motor_start_angle_rad": motor,
-        }
-    )
+    turning = values_of(joint) | {"gap_rad": gap_rad, "reference_speed_rpm": speed_rpm}
+    truth = plant(turning | random_start(rng))
     recording = simulate(truth, rng, name=name, rotations=ROTATIONS).recording
-    if not row.current:
-        channels = {k: v for k, v in recording.channels.items() if k != MOTOR_CURRENT}
-        recording = replace(recording, channels=channels)
-    return observed(recording, joint, speed_rpm)
+    return observed(recording if row.current else without_current(recording), joint, speed_rpm)
 
 
 def stroked(
@@ -259,7 +240,7 @@ def stroked(
 
     ``pace``, ``reach``: shares of that speed and of the way. ``effects``: what the joint has more.
     """
-    values = {parameter: item.value for parameter, item in joint.parameters.items()} | effects
+    values = values_of(joint) | effects
     way = reach * STROKES_RAD[0], reach * STROKES_RAD[1]
     truth = plant(values | {"gap_rad": gap_rad, "start_angle_rad": way[0]})
     reference = strokes(
@@ -282,46 +263,29 @@ def acceleration_rpm_per_s(joint: Bench) -> float:
     return left / inertia * RPM
 
 
-def held(draws: FloatArray, truth: float) -> float:
-    """1 where the interval of these draws holds the truth."""
-    low, high = np.quantile(draws, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-    return float(low <= truth <= high)
-
-
-def width(draws: FloatArray) -> float:
-    """Of the interval."""
-    low, high = np.quantile(draws, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-    return float(high - low)
-
-
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Shares covered and withheld, and widths against those with the bench known."""
     size = cases.sizes["case"]
     line: dict[str, float | str] = {"joints": float(size)}
-    line["withheld"] = _mean(cases["withheld"].values)
-    line["agrees"] = _mean(cases["agrees"].values)
+    line["withheld"] = mean(cases["withheld"].values)
+    line["agrees"] = mean(cases["agrees"].values)
     line["median_identify_seconds"] = float(np.median(cases["identify_seconds"].values))
     if row.wrong:
-        line["named"] = _mean(cases["named"].values)
-        line["named_alone"] = _mean(cases["named_alone"].values)
+        line["named"] = mean(cases["named"].values)
+        line["named_alone"] = mean(cases["named_alone"].values)
         return line
     line["band_low"], line["band_high"] = coverage_band(size, LEVEL)
     parameters = [cases[f"{name}_covered"].values for name in CORRECTABLE_PARAMETERS]
     line["parameters_covered"] = float(np.nanmean(parameters))
     for name, own in zip(CORRECTABLE_PARAMETERS, parameters, strict=True):
-        line[f"{name}_covered"] = _mean(own)
+        line[f"{name}_covered"] = mean(own)
         line[f"{name}_learned"] = float(np.nanmedian(cases[f"{name}_learned"].values))
     answered = cases["withheld"].values + cases["pair_withheld"].values == 0.0
     line["pair_withheld"] = 1.0 - float(np.mean(answered))
-    line["known_withheld"] = _mean(cases["known_withheld"].values)
+    line["known_withheld"] = mean(cases["known_withheld"].values)
     for name in ("gap", "change"):
-        line[f"{name}_covered"] = _mean(cases[f"{name}_covered"].values[answered])
-        line[f"{name}_known_covered"] = _mean(cases[f"{name}_known_covered"].values)
+        line[f"{name}_covered"] = mean(cases[f"{name}_covered"].values[answered])
+        line[f"{name}_known_covered"] = mean(cases[f"{name}_known_covered"].values)
         ratio = cases[f"{name}_width_rad"].values / cases[f"{name}_known_width_rad"].values
         line[f"{name}_width_over_known"] = float(np.median(ratio[answered]))
     return line
-
-
-def _mean(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else math.nan

@@ -15,14 +15,10 @@ from __future__ import annotations
 
 import csv
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-
-sys.path.append(str(Path(__file__).parent))
-
 from identify import (
     DWELL_S,
     GAP_RAD,

@@ -1,16 +1,13 @@
 """The two-mass bench once more, to make data that the package's own simulator has no part in.
 
-    python experiments/independent_bench.py
-
-prints, for every effect of the catalogue, how far the two simulators are apart beside how much the
-effect changes. Studies hide an effect here and diagnose it with ``bayesbl``. Only the equations are
+Studies hide an effect here and diagnose it with ``bayesbl``. Only the equations are
 shared (docs/design.md, "The virtual bench"). This file integrates with the classical fourth-order
 Runge-Kutta method at a fixed small step, does not look for the edges of the gap, smooths dry
 friction differently (ω/√(ω² + w²) at the motor, erf at the load), integrates the two angles instead
 of the twist, and reaches steady rotation by running through whole rotations from a rough start.
 
 It can also simulate what the catalogue lacks: a torque periodic in time, a belt defect, errors of
-the encoder's disc of several orders, a transmission error of two orders, lost speed samples, an
+the encoder's disc of two orders, lost speed samples, an
 encoder whose counts a digital controller works with, a second gap behind a third mass, and laws
 that differ from the catalogue's: load friction with another smoothing or over the load's angle,
 LuGre, a Stribeck exponent of 1, a ripple with harmonics, contact damping by Hunt and Crossley,
@@ -22,13 +19,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from scipy import signal, special
 
+from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
@@ -164,14 +163,9 @@ class Plant(NamedTuple):
     outside__edge_rad: float = 0.0  # to each side of the gap's edge, stiffness rises as a ramp
     outside__bouc_wen_nm: float = 0.0
     outside__bouc_wen_rad: float = 5e-4
-    outside__encoder_1_rad: float = 0.0  # errors of the disc: orders 1, 2 and 4 of the motor
-    outside__encoder_1_phase_rad: float = 0.0
+    outside__encoder_1_rad: float = 0.0  # errors of the disc: orders 1 and 2 of the motor
     outside__encoder_2_rad: float = 0.0
     outside__encoder_2_phase_rad: float = 0.0
-    outside__encoder_4_rad: float = 0.0
-    outside__encoder_4_phase_rad: float = 0.0
-    outside__transmission_rad: float = 0.0  # at the load, orders 1 and 2 of the motor
-    outside__recorder_s: float = 0.0  # that much after the controller's ticks it samples
     outside__dropouts_per_s: float = 0.0
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
@@ -243,15 +237,11 @@ def _measured(y, p, phase):
         angle += p.encoder_eccentricity__angle_rad * math.sin(turn)
         speed *= 1.0 + p.encoder_eccentricity__angle_rad * math.cos(turn)
     shaft = y[0] - y[BASE] + phase
-    first = shaft + p.outside__encoder_1_phase_rad
     second = 2.0 * shaft + p.outside__encoder_2_phase_rad
-    fourth = 4.0 * shaft + p.outside__encoder_4_phase_rad
-    angle += p.outside__encoder_1_rad * math.sin(first)
+    angle += p.outside__encoder_1_rad * math.sin(shaft)
     angle += p.outside__encoder_2_rad * math.sin(second)
-    angle += p.outside__encoder_4_rad * math.sin(fourth)
-    slope = p.outside__encoder_1_rad * math.cos(first)
+    slope = p.outside__encoder_1_rad * math.cos(shaft)
     slope += 2.0 * p.outside__encoder_2_rad * math.cos(second)
-    slope += 4.0 * p.outside__encoder_4_rad * math.cos(fourth)
     speed += y[1] * slope
     return angle, speed, y[6] if p.speed_sensor_lag__time_s > 0.0 else speed
 
@@ -349,11 +339,6 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
         turn = order * (y[0] + phase) + p.gear_transmission_error__phase_rad
         twist += p.gear_transmission_error__angle_rad * math.sin(turn)
         slip += p.gear_transmission_error__angle_rad * order * y[1] * math.cos(turn)
-    if p.outside__transmission_rad != 0.0:
-        turn = y[0] + phase
-        twist += p.outside__transmission_rad * (math.sin(turn) + 0.7 * math.sin(2.0 * turn + 1.0))
-        rate = math.cos(turn) + 1.4 * math.cos(2.0 * turn + 1.0)
-        slip += p.outside__transmission_rad * y[1] * rate
     gap = p.gap_rad + p.backlash__gap_rad
     turn = y[2] - base
     variation = p.gap_variation__cosine_1 * math.cos(turn)
@@ -569,7 +554,7 @@ def _run(p, settling_rotations, step, each, sampling_s, late, out):
         return begin
     if each > 0:
         # A nanosecond behind the tick, so that what it did is seen.
-        begin = step * each * round(begin / (step * each)) + 1e-9 + p.outside__recorder_s
+        begin = step * each * round(begin / (step * each)) + 1e-9
 
     # Once more from the checkpoint, now that the time of the first sample is known.
     skew = (
@@ -736,6 +721,11 @@ def moving(
     if not np.all(np.isfinite(out)):
         raise ValueError("the simulation diverged")
     return out
+
+
+def values_of(bench: Bench) -> dict[str, float]:
+    """Parameters of a bench by name, as :func:`plant` takes them."""
+    return {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
 
 
 def plant(values: Mapping[str, float], **settings: float) -> Plant:
@@ -989,47 +979,3 @@ def _lose_samples(
     for begin in rng.integers(0, speed.size, count):
         length = max(1, round(sampling_hz * rng.exponential(made.outside__dropout_length_s)))
         speed[begin : begin + length] *= 1.0 - made.outside__dropout_share * rng.uniform(0.2, 1.0)
-
-
-def _main() -> None:
-    from time import perf_counter
-
-    from bayesbl.bench.parameters import BENCH_PARAMETERS
-    from bayesbl.config.bench import reference_bench
-
-    bench = reference_bench()
-    every = {info.name: (bench.value(info.name), info.default) for info in BENCH_PARAMETERS}
-    values = {name: value for name, (value, default) in every.items() if value != default}
-    common: dict[str, Any] = {
-        "gap_rad": 8e-4,
-        "start_angle_rad": 0.4,
-        "reference_speed_rpm": 2000.0,
-    }
-    motor = {"motor_start_angle_rad": 0.9}
-
-    def both(settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        of_run: dict[str, Any] = {**common, **motor, **settings}
-        package = bench.simulate_many(
-            **of_run,
-            rotations=1.2,
-            channels="all",
-            accuracy_rpm=1e-3,
-        )[0]
-        return package, noise_free(plant({**values, **common, **motor, **settings}), 1.2)
-
-    print(f"{'':26s} largest change by the effect   largest difference of simulators   s")
-    plain, _ = both({})
-    for name in ("", *(effect.name for effect in EFFECTS)):
-        begin = perf_counter()
-        package, own = both({f"{name}__{k}": v for k, v in TYPICAL.get(name, {}).items()})
-        change = np.max(np.abs(package - plain), axis=1)
-        apart = np.max(np.abs(package - own), axis=1)
-        print(
-            f"{name or 'no effect':26s} {change[1]:9.3f} rpm {change[2]:8.4f} A"
-            f" {apart[1]:12.4f} rpm {apart[2]:8.4f} A {apart[0]:.1e} rad"
-            f" {perf_counter() - begin:6.2f}"
-        )
-
-
-if __name__ == "__main__":
-    _main()

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
+from study_tools import without_current
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.sweep import SweepSettings, sweep_nominal
-from bayesbl.measurement.joint_features import MEAN_CURRENT, features, harmonic_name
-from bayesbl.measurement.same_joint import same_joint
+from bayesbl.measurement.same_joint import MEAN_CURRENT, features, harmonic_name, same_joint
 from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
@@ -124,8 +124,7 @@ def _point(
     smoothed = lfilter(np.full(width, 1.0 / width), [1.0], speed - speed[0]) + speed[0]
     recording = replace(recording, channels={**recording.channels, MOTOR_SPEED: smoothed})
     if not with_current:
-        kept = {n: v for n, v in recording.channels.items() if n != MOTOR_CURRENT}
-        recording = replace(recording, channels=kept)
+        recording = without_current(recording)
     return Estimator().estimate(recording, np.random.SeedSequence(1))
 
 

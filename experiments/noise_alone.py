@@ -15,7 +15,8 @@ import math
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+from study_tools import StudyRow
 
 from bayesbl.errors import RecordingError
 from bayesbl.noise.process import NoiseModel
@@ -34,17 +35,10 @@ COLUMNS = {
 }
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: a colour of noise."""
 
-    model_config = ConfigDict(extra="forbid")
-
     noise_coefficient: float = Field(ge=0.0, lt=1.0)
-    cases: int = Field(ge=1)
-
-
-def count(row: Row) -> int:
-    return row.cases
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, float]:

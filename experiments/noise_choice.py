@@ -11,20 +11,16 @@ truth. The posterior of A is normal around the optimum, with the covariance that
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import coverage_band
 from made_recordings import draw_symbols, synthetic_recording
+from pydantic import Field
+from study_tools import StudyRow
 
 from bayesbl.config.sections import Items
 from bayesbl.noise.process import NoiseModel
@@ -67,13 +63,9 @@ AMPLITUDES_RPM = (10.0, 40.0)
 LARGEST_BASELINE_RPM = 10.0
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: the noise's true kind, and how long it is recorded."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    cases: PositiveInt
     noise_sd_rpm: float = Field(default=1.5, gt=0.0)
     coefficients: Items[float] = ()
     degrees_of_freedom: float | None = None
@@ -99,11 +91,6 @@ COLUMNS = {
     "error_rpm": ("rpm", "A at the optimum less the truth"),
     **{f"{name}_sd_rpm": ("rpm", f"standard deviation of A: {w}") for name, w in WORDS.items()},
 }
-
-
-def count(row: Row) -> int:
-    """Number of recordings."""
-    return row.cases
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:

@@ -11,28 +11,16 @@ right if it is of the hidden law's family. Of what is left a learned torque shou
 from __future__ import annotations
 
 import math
-import sys
 import time
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, field_validator
-
-sys.path.append(str(Path(__file__).parent))
-
-from hidden_effects import (
-    GAP_RANGE_RAD,
-    HELD_OUT_RPM,
-    LEVEL_SD,
-    NAMES,
-    VERDICTS,
-    believed,
-    closed_share,
-)
-from independent_bench import SPEEDS_RPM, random_recordings
+from hidden_effects import GAP_RANGE_RAD, HELD_OUT_RPM, LEVEL_SD, NAMES, VERDICTS, closed_share
+from independent_bench import SPEEDS_RPM, random_recordings, values_of
+from pydantic import Field, field_validator
+from study_tools import StudyRow, mean
 
 from bayesbl.bench.learned import VARIABLES
 from bayesbl.config.bench import reference_bench
@@ -68,13 +56,9 @@ CLEAR = 100.0
 """χ² by which the bench as believed misses what it was fitted to, from which on a law is clear."""
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """``laws``: how many are hidden at once, or their names in every case."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    cases: PositiveInt
     laws: Annotated[int, Field(ge=1, le=3)] | tuple[str, ...]
 
     @field_validator("laws")
@@ -114,11 +98,6 @@ COLUMNS = {
 }
 
 
-def count(row: Row) -> int:
-    """Number of datasets."""
-    return row.cases
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One dataset, diagnosed and compared with the truth."""
     generator = np.random.default_rng(seed)
@@ -137,9 +116,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     if "friction over position" in laws:
         settings["outside__position_friction_phase_rad"] = generator.uniform(-math.pi, math.pi)
     speeds = (*SPEEDS_RPM, HELD_OUT_RPM)
-    made = random_recordings(believed(), settings, generator, speeds_rpm=speeds)
-    begin = time.perf_counter()
     bench = reference_bench()
+    made = random_recordings(values_of(bench), settings, generator, speeds_rpm=speeds)
+    begin = time.perf_counter()
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [gap_unknown(*GAP_RANGE_RAD, m.recording.name) for m in made[:-1]]
     unknowns += [start_angle_unknown(m.recording.name) for m in made[:-1]]
@@ -194,17 +173,17 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     line |= {name: float(verdicts.count(name)) for name in VERDICTS}
     line |= {
         "clear": float(clear.sum()),
-        "right_of_clear": _mean(column["right"][clear] >= 1.0),
-        "all_right_of_clear": _mean(column["right"][clear] >= row.count),
-        "right_or_learned_of_clear": _mean(
+        "right_of_clear": mean(column["right"][clear] >= 1.0),
+        "all_right_of_clear": mean(column["right"][clear] >= row.count),
+        "right_or_learned_of_clear": mean(
             (column["right"] >= 1.0)[clear] | (some & (column["closed_held_out"] >= 0.8))[clear]
         ),
-        "false_name": _mean(column["false"] > 0.0),
+        "false_name": mean(column["false"] > 0.0),
         "learned": float(some.sum()),
         "closed_learned_median": float(np.median(column["closed_held_out"][some]))
         if some.any()
         else math.nan,
-        "closed_learned_enough": _mean(column["closed_held_out"][some] >= 0.8),
+        "closed_learned_enough": mean(column["closed_held_out"][some] >= 0.8),
         "unexplained_unlearned": float(
             sum(v == "unexplained" and not s for v, s in zip(verdicts, some, strict=True))
         ),
@@ -212,7 +191,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     for stage in ("before", "after"):
         errors = column[f"delta_z_{stage}"]
         errors = errors[np.isfinite(errors)]
-        line[f"cover_90_{stage}"] = _mean(np.abs(errors) < LEVEL_SD)
+        line[f"cover_90_{stage}"] = mean(np.abs(errors) < LEVEL_SD)
         line[f"delta_given_{stage}"] = float(errors.size)
     # What a law's form leaves, and does to δ.
     error = np.log(column["delta_ratio_after"])
@@ -224,7 +203,3 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         line[f"{law}: error/moved"] = float(np.sqrt(np.mean((error / moved)[of_law] ** 2)))
     line["median_s"] = float(np.median(column["diagnosis_s"]))
     return line
-
-
-def _mean(values: Sequence[bool] | np.ndarray) -> float:
-    return float(np.mean(values)) if len(values) else math.nan

@@ -28,24 +28,19 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
-from identify import SLOWEST_DECAY_PER_S
-from independent_bench import CHANNELS, Noise, plant, simulate
+from identify import data_sheet, random_joint
+from independent_bench import CHANNELS, Noise, plant, simulate, values_of
 from outside_noise import around_impacts, unlike_impacts
+from pydantic import BaseModel
+from study_tools import LEVEL, StudyRow, held, interval_of, mean, written
 
 import bayesbl
-from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
-from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
-from bayesbl.bench.steady import contact_rates
-from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.config.bench import dump_bench
 from bayesbl.errors import UserError
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 
-LEVEL = 0.9
 WIDE = 0.99
 FACTOR = 1.2
 GAP_RAD = (3e-4, 2e-3)
@@ -86,16 +81,12 @@ Structure = Literal[
 ]
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """``structure``: what the joint has and its data sheet lacks, at a frequency in this range.
 
     ``sheet_off``: of each value of the data sheet, which is also its tolerance; 0: it is exact.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    joints: PositiveInt
     structure: Structure
     low_hz: float = 0.0
     high_hz: float = 0.0
@@ -122,11 +113,6 @@ COLUMNS = {
         )
     },
 }
-
-
-def count(row: Row) -> int:
-    """Number of joints."""
-    return row.joints
 
 
 def _spring(inertia: float, share: float, hz: float) -> float:
@@ -226,32 +212,11 @@ PARTS: Mapping[str, Callable[[Bench, float, np.random.Generator], dict[str, floa
 }
 
 
-def random_joint(rng: np.random.Generator) -> Bench:
-    """A bench known exactly, near the reference one, with a stable loop."""
-    reference = reference_bench()
-    while True:
-        values = {name: reference.value(name) for name in reference.parameters}
-        for name in CORRECTABLE_PARAMETERS:
-            values[name] *= FACTOR ** rng.uniform(-1.0, 1.0)
-        bench = Bench({name: BenchParameter(value) for name, value in values.items()})
-        if np.max(contact_rates(bench.vector()).real) < -SLOWEST_DECAY_PER_S:
-            return bench
-
-
-def data_sheet(joint: Bench, off: float, rng: np.random.Generator) -> Bench:
-    """Values from which the true ones are off uniformly within the tolerance."""
-    parameters = dict(joint.parameters)
-    for name in CORRECTABLE_PARAMETERS:
-        value = joint.value(name) / (1.0 + off * rng.uniform(-1.0, 1.0))
-        parameters[name] = BenchParameter(value, off * value)
-    return Bench(parameters)
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One joint, as a user would measure it."""
     rng = np.random.default_rng(seed)
-    joint = random_joint(rng)
-    sheet = data_sheet(joint, row.sheet_off, rng)
+    joint = random_joint(rng, FACTOR, None)
+    sheet, _ = data_sheet(joint, 0.0, rng, row.sheet_off)
     hz = math.exp(rng.uniform(*np.log([row.low_hz, row.high_hz]))) if row.low_hz else math.nan
     part = PARTS.get(row.structure, PARTS["none"])(joint, hz, rng)
     if "sampled_control__period_s" in part and "reference_speed_rpm" in part:
@@ -268,7 +233,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
         def file(label: str, gap_rad: float) -> Path:
             start, motor, phase = rng.uniform(-math.pi, math.pi, 3)
-            truth = {parameter: item.value for parameter, item in joint.parameters.items()} | {
+            truth = values_of(joint) | {
                 "gap_rad": gap_rad,
                 "reference_speed_rpm": SPEED_RPM,
                 "start_angle_rad": start,
@@ -337,16 +302,15 @@ def compared(
 
 def scores(name: str, draws: FloatArray, truth: float) -> dict[str, float]:
     """Of an answer that is given, by its draws."""
-    tails = [0.5 - 0.5 * level for level in (LEVEL, WIDE)]
-    (low, high), (lowest, highest) = (np.nanquantile(draws, [t, 1.0 - t]) for t in tails)
+    low, high = interval_of(draws)
     middle, sd = float(np.nanmedian(draws)), float(np.nanstd(draws))
     return {
         f"{name}_answered": 1.0,
-        f"{name}_covered": float(low <= truth <= high),
-        f"{name}_wrong": float(not lowest <= truth <= highest),
+        f"{name}_covered": held(draws, truth),
+        f"{name}_wrong": 1.0 - held(draws, truth, WIDE),
         f"{name}_ratio": middle / truth,
         f"{name}_z": (middle - truth) / sd,
-        f"{name}_relative_width": float(high - low) / truth,
+        f"{name}_relative_width": (high - low) / truth,
     }
 
 
@@ -369,7 +333,7 @@ def recorded(row: Row, truth: dict[str, float], label: str, rng: np.random.Gener
         at = ticks + FIELDBUS_JITTER_S * rng.standard_normal(ticks.size)
         clean = np.stack([np.interp(at, time, channel) for channel in clean])
         time = at
-    added = noise.speed_sd_rpm * coloured(time.size, noise.speed_coefficient, rng)
+    added = noise.speed_sd_rpm * NoiseModel(1.0, (noise.speed_coefficient,)).draw(time.size, rng)
     if row.structure == "louder around impacts":
         added *= 1.0 + (LOUDER - 1.0) * around_impacts(clean[1], hz, rotation_s)
     clean[1] += added
@@ -377,33 +341,16 @@ def recorded(row: Row, truth: dict[str, float], label: str, rng: np.random.Gener
     return Recording(label, time, dict(zip(CHANNELS, clean, strict=True)))
 
 
-def coloured(size: int, coefficient: float, rng: np.random.Generator) -> FloatArray:
-    """AR(1) noise of unit variance, (size,)."""
-    return NoiseModel(1.0, (coefficient,)).draw(size, rng)
-
-
-def written(recording: Recording, path: Path) -> Path:
-    """A recording as CSV."""
-    columns = {"time_s": recording.time_s, **recording.channels}
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, "%.9g", ",", header=",".join(columns), comments="")
-    return path
-
-
 def summarise(row: BaseModel, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Shares answered, covered and confidently wrong."""
     size = cases.sizes["case"]
-    line: dict[str, float | str] = {"joints": float(size), "refused": _mean(cases["refused"])}
+    line: dict[str, float | str] = {"joints": float(size), "refused": mean(cases["refused"])}
     for name in (n.removesuffix("_answered") for n in COLUMNS if n.endswith("_answered")):
         answered = cases[f"{name}_answered"].values > 0.0
         line[f"{name}_answered"] = float(answered.mean())
         line[f"{name}_wrong"] = float(cases[f"{name}_wrong"].values.sum())
         for score in ("covered", "relative_width"):
-            line[f"{name}_{score}"] = _mean(cases[f"{name}_{score}"][answered])
+            line[f"{name}_{score}"] = mean(cases[f"{name}_{score}"][answered])
         worst = cases[f"{name}_z"].values[answered]
         line[f"{name}_worst_z"] = float(np.max(np.abs(worst))) if worst.size else math.nan
     return line
-
-
-def _mean(values: xr.DataArray) -> float:
-    return float(np.nanmean(values.values)) if values.size else math.nan

@@ -14,7 +14,6 @@ Neither simulator shares a line with the package's own, or with ``independent_be
 from __future__ import annotations
 
 import math
-import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,13 +22,10 @@ from typing import Any, Literal
 
 import numba
 import numpy as np
-import xarray as xr
-from pydantic import BaseModel, ConfigDict, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
 import other_joints
-from other_joints import compared, written
+import xarray as xr
+from other_joints import compared
+from study_tools import StudyRow, written
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.config.bench import dump_bench, reference_bench
@@ -63,13 +59,9 @@ DRAWN = {
 }
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """``joints`` of one simulator, with the motor's current or by its speed alone."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    joints: PositiveInt
     simulator: Literal["integrator", "multibody"]
     with_current: bool = True
 
@@ -83,11 +75,6 @@ COLUMNS = {
     "last_rad": ("rad", "gap of the last recording"),
     **{name: about for name, about in other_joints.COLUMNS.items() if name != "frequency_hz"},
 }
-
-
-def count(row: Row) -> int:
-    """Number of joints."""
-    return row.joints
 
 
 @dataclass(frozen=True, slots=True)

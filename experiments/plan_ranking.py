@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, PositiveInt
+from pydantic import PositiveInt
 from scipy.stats import spearmanr
+from study_tools import StudyRow
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import cycle
@@ -33,14 +34,10 @@ SAMPLING_HZ = 1000.0
 NAME = "r"
 
 
-class Row(BaseModel):
-    """``motions`` of those within each of ``limits``, recorded ``repeats`` times at each gap."""
+class Row(StudyRow):
+    """``cases`` motions within each of ``limits``, recorded ``repeats`` times at each gap."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
-    motions: PositiveInt
     repeats: PositiveInt
     gap_rad: float = 8e-4
     limits: tuple[Limits, ...] = (Limits(),)
@@ -53,16 +50,11 @@ COLUMNS = {
 }
 
 
-def count(row: Row) -> int:
-    """Number of motions."""
-    return row.motions
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One motion."""
     rng = np.random.default_rng(seed)
     bench, ranked = _ranked(row)
-    planned = ranked[round(index * (len(ranked) - 1) / max(row.motions - 1, 1))]
+    planned = ranked[round(index * (len(ranked) - 1) / max(row.cases - 1, 1))]
     assert planned.expected_relative_sd is not None
     motion = cycle(
         bench.value("gear_ratio"),
@@ -113,6 +105,6 @@ def _ranked(row: Row) -> tuple[Bench, list[PlannedMotion]]:
         )
         if motion.expected_relative_sd is not None
     ]
-    if len(found) < row.motions:
+    if len(found) < row.cases:
         raise BenchError("There are fewer motions than asked for.", found=f"{len(found)}")
     return bench, sorted(found, key=lambda motion: motion.expected_relative_sd or math.inf)

@@ -19,7 +19,8 @@ from pathlib import Path
 import numba
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from pydantic import Field
+from study_tools import StudyRow, written
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.config.bench import dump_bench, load_bench
@@ -169,13 +170,9 @@ def believed(axis: Axis) -> Bench:
     return Bench({**values, "motor_inertia_kg_m2": inertia}, drive="rigid", assumed=idle)
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: axes drawn anew, one recording to fit on and one held out."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    cases: PositiveInt
     lasting_s: float = Field(default=20.0, gt=0.0)
     sampling_hz: float = Field(default=1000.0, gt=0.0)
 
@@ -197,11 +194,6 @@ _LAWS = {
 WITHIN = 0.05
 
 
-def count(row: Row) -> int:
-    """Number of axes."""
-    return row.cases
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One axis, through the files that a user has."""
     rng = np.random.default_rng(seed)
@@ -216,11 +208,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         bench.write_text(dump_bench(believed(axis)))
         entries = []
         for recording in made:
-            file = folder / f"{recording.name}.csv"
-            columns = (MOTOR_POSITION, MOTOR_TORQUE)
-            table = np.column_stack([recording.time_s, *(recording.channels[c] for c in columns)])
-            header = ",".join(("time_s", *columns))
-            np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.12g")
+            file = written(recording, folder / f"{recording.name}.csv", "%.12g")
             entries.append({"name": recording.name, "file": str(file), "use": recording.name})
         config = DiagnoseConfig.model_validate(
             {

@@ -20,7 +20,7 @@ from typing import Literal
 import numba
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, PositiveInt
+from study_tools import StudyRow
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import DiagnoseConfig
@@ -136,13 +136,9 @@ FREE = ("motor_inertia_kg_m2", "speed_gain_nm_s_per_rad", "integral_gain_nm_per_
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: drives drawn anew, each recorded at five speeds, halves fitted and held out."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
-    cases: PositiveInt
     hidden: tuple[Literal["ripple", "eccentricity"], ...] = ()
 
 
@@ -153,11 +149,6 @@ COLUMNS = {
     "worst_size": ("1", "largest relative error of a named size, of lines that stand out by 10 sd"),
     "worst_z": ("1", "largest error of a named size in its standard deviations"),
 }
-
-
-def count(row: Row) -> int:
-    """Number of drives."""
-    return row.cases
 
 
 def drawn_drive(row: Row, rng: np.random.Generator) -> tuple[Drive, np.ndarray, float]:

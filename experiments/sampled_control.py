@@ -12,51 +12,42 @@ interval does not hold the truth.
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
-from false_wear import FAST_DIRECT, GAP_RANGE_RAD, LEVEL
+from false_wear import GAP_RANGE_RAD
 from hidden_effects import LEVEL_SD, NAMES, VERDICTS
-from independent_bench import SPEEDS_RPM, Plant, plant, simulate
+from independent_bench import SPEEDS_RPM, plant, simulate, values_of
+from pydantic import Field
+from study_tools import FAST, StudyRow, is_withheld, random_start
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import direct_reasons, fit_directly
-from bayesbl.measurement.measurement import outcome_of
+from bayesbl.measurement.direct_route import fit_directly
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 
 TRUTH_RAD = (2e-4, 3e-3)
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: the drive, what is recorded, what the bench believes and what is asked.
 
     ``softer``: both gains times this; the reference gains are unstable at 4 ms. ``unlike``: what no
     bench is told, as ``Plant`` takes it: another delay, a recorder that misses the ticks.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     period_s: float = Field(gt=0.0)
     softer: float = Field(1.0, gt=0.0)
     unlike: dict[str, float] = Field(default_factory=dict)
     current: bool = True
     believed: Literal["continuous", "sampled"]
     asked: Literal["compare", "diagnose"]
-    cases: PositiveInt
 
 
 COLUMNS = {
@@ -71,11 +62,6 @@ COLUMNS = {
     "named": ("1", "bits of the names given"),
     "case_s": ("s", "time of match or diagnosis"),
 }
-
-
-def count(row: Row) -> int:
-    """Number of joints."""
-    return row.cases
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
@@ -108,11 +94,9 @@ GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
 def _recorded(
     row: Row, bench: Bench, gap: float, speed: float, name: str, generator: np.random.Generator
 ) -> Recording:
-    values = {n: p.value for n, p in bench.parameters.items() if n in Plant._fields}
-    start, motor = generator.uniform(-math.pi, math.pi, 2)
-    run = {"gap_rad": gap, "reference_speed_rpm": speed, "start_angle_rad": start}
-    run |= {"motor_start_angle_rad": motor, "sampled_control.period_s": row.period_s}
-    made = simulate(plant(values | run | row.unlike), generator, name=name).recording
+    run = {"gap_rad": gap, "reference_speed_rpm": speed, "sampled_control.period_s": row.period_s}
+    truth = plant(values_of(bench) | run | random_start(generator) | row.unlike)
+    made = simulate(truth, generator, name=name).recording
     kept = (MOTOR_SPEED, MOTOR_CURRENT) if row.current else (MOTOR_SPEED,)
     return Recording(name, made.time_s, {k: made.channels[k] for k in kept})
 
@@ -124,9 +108,9 @@ def _compared(
     seed: np.random.SeedSequence,
 ) -> dict[str, float]:
     seen = [observed(r, bench, s) for r, s in zip(recordings, speeds, strict=True)]
-    found = fit_directly(bench, seen, GAP_RANGE_RAD, {}, FAST_DIRECT, seed)
+    found = fit_directly(bench, seen, GAP_RANGE_RAD, {}, FAST, seed)
     draws = np.log(found.posterior.values(GAP, recordings[1].name))
-    withheld = outcome_of(direct_reasons(found, 1, level=LEVEL)) == "withheld"
+    withheld = is_withheld(found, (1,))
     named = {c.name for c in found.joint.changed}
     return {
         "fitted_rad": float(np.exp(np.median(draws))),

@@ -17,20 +17,15 @@ from __future__ import annotations
 
 import functools
 import math
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field
-
-sys.path.append(str(Path(__file__).parent))
-
 from made_recordings import draw_symbols, speed_as_printed, synthetic_recording
+from study_tools import StudyRow
 
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
@@ -59,13 +54,10 @@ COLUMNS = {
 }
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: a method on a range of signal to noise."""
 
-    model_config = ConfigDict(extra="forbid")
-
     method: Method
-    cases: int = Field(ge=1)
     signal_to_noise: tuple[float, float]
 
 
@@ -76,10 +68,6 @@ class Found:
     symbols: Mapping[str, float]
     rmse_rpm: float
     evaluations: int
-
-
-def count(row: Row) -> int:
-    return row.cases
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, float]:

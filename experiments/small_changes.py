@@ -17,18 +17,15 @@ from __future__ import annotations
 
 import itertools
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt
-
-sys.path.append(str(Path(__file__).parent))
-
 from calibration_statistics import coverage_band
+from pydantic import Field, NonNegativeFloat
+from study_tools import SNAPSHOTS, StudyRow, held
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
@@ -41,13 +38,12 @@ from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.model_search.always_in import directions, with_far_terms_freed
 from bayesbl.model_search.joint_change import find_changes
 from bayesbl.model_search.pipeline import direct_unknowns
-from bayesbl.probabilities import ends, normal_isf
+from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import FloatArray
 
 CALLED_AT = 0.95
 DRAWS = 4000
 GAP_RANGE_RAD = (1e-4, 1e-2)
-SNAPSHOTS = ("before", "after")
 PARAMETERS = (
     "motor_inertia_kg_m2",
     "load_inertia_kg_m2",
@@ -61,20 +57,16 @@ PARAMETERS = (
 PAIRS = tuple(itertools.combinations(range(len(PARAMETERS)), 2))
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: by how much two parameters change, and how many pairs of recordings there are.
 
     ``grown``: relative growth of the gap. ``bench_off``: the joint is drawn within the tolerances
     of its bench.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
     share: NonNegativeFloat
     gap_rad: tuple[float, float]
-    pairs: PositiveInt
     grown: float = Field(default=0.0, gt=-1.0)
     bench_off: bool = False
 
@@ -100,11 +92,6 @@ COLUMNS = {
         )
     },
 }
-
-
-def count(row: Row) -> int:
-    """Number of pairs."""
-    return row.pairs
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
@@ -174,20 +161,15 @@ def _answered(
         "probability_increase": float(np.mean(change > 0.0)),
         "error_sd": float((change.mean() - grown) / change.std()),
         "sd": float(change.std()),
-        "covered": _holds(change, grown),
+        "covered": held(change, grown),
         "gap_error_sd": float((last.mean() - truth[GAP][1]) / last.std()),
-        "gap_covered": _holds(last, float(truth[GAP][1])),
+        "gap_covered": held(last, float(truth[GAP][1])),
         "withheld": float(withheld),
         "seen": float(told),
         "alone_error_sd": (alone - grown) / alone_sd,
         "alone_sd": alone_sd,
         "wider": float(last.std()) / nominal.sd(GAP, SNAPSHOTS[1]),
     }
-
-
-def _holds(draws: FloatArray, truth: float) -> float:
-    low, high = ends(draws, 0.9)
-    return float(low < truth < high)
 
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:

@@ -9,36 +9,25 @@ other. The posterior is the surrogate's.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from independent_bench import plant, simulate_moving, strokes, values_of
+from pydantic import Field
+from study_tools import StudyRow, bench_of, inside, mean
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import TWIST
 from bayesbl.bench.simulation import simulate_motions
-from bayesbl.config.bench import load_bench
 from bayesbl.matching.motions import changes_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_reasons, fit_directly
 from bayesbl.measurement.measurement import outcome_of
-from bayesbl.recording.types import (
-    REFERENCE_POSITION,
-    REFERENCE_SPEED,
-    BoolArray,
-    FloatArray,
-    Recording,
-)
+from bayesbl.recording.types import REFERENCE_POSITION, REFERENCE_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings
-
-sys.path.append(str(Path(__file__).parent))
-
-from independent_bench import plant, simulate_moving, strokes
 
 FAST = SamplerSettings(ensembles=2, max_steps=2000)
 RANGE_RAD = (1e-4, 1e-2)
@@ -55,7 +44,7 @@ CHANNELS = {
 }
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: strokes of ``stroke_s`` from −``reach_deg`` to ``reach_deg`` about a posture.
 
     ``posture_deg``: 0 hangs straight down. ``bench_error``: the true bench is drawn within the
@@ -63,11 +52,7 @@ class Row(BaseModel):
     the joint has instead of what the bench file says, known to both.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     bench: Path
-    pairs: PositiveInt
     posture_deg: float = 0.0
     reach_deg: float = Field(default=30.0, gt=0.0)
     stroke_s: float = Field(default=1.0, gt=0.0)
@@ -98,16 +83,11 @@ COLUMNS = {
 }
 
 
-def count(row: Row) -> int:
-    """Number of pairs."""
-    return row.pairs
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One pair of recordings."""
     truth_seed, fit_seed = seed.spawn(2)
     rng = np.random.default_rng(truth_seed)
-    believed = _bench(row.bench).with_parameters(**row.joint)
+    believed = bench_of(row.bench).with_parameters(**row.joint)
     joint = believed.draw(rng) if row.bench_error else believed
     first = math.exp(rng.uniform(*np.log(GAPS_RAD)))
     gaps = (first, first * (1.0 + rng.uniform(0.0, LARGEST_GROWTH)))
@@ -143,13 +123,13 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     change = cases["below_change"].values[both]
     line: dict[str, float | str] = {
         "shown": int(np.sum(shown)),
-        "answered_of_shown_%": _percent(answered[shown > 0.0]),
+        "answered_of_shown_%": 100.0 * mean(answered[shown > 0.0]),
         "not_shown": int(np.sum(shown == 0.0)),
-        "withheld_of_not_shown_%": _percent(~answered[shown == 0.0]),
+        "withheld_of_not_shown_%": 100.0 * mean(~answered[shown == 0.0]),
         "answers": int(np.sum(answered)),
-        "covered_%": _percent(_inside(below[answered])),
+        "covered_%": 100.0 * mean(inside(below[answered])),
         "changes": int(change.size),
-        "change_covered_%": _percent(_inside(change)),
+        "change_covered_%": 100.0 * mean(inside(change)),
     }
     if np.any(answered):
         ratio = sd[answered] / bound[answered]
@@ -159,23 +139,13 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     return line
 
 
-def _inside(below: FloatArray) -> BoolArray:
-    """Whether a 90 % interval holds the truth."""
-    return np.abs(below - 0.5) < 0.45
-
-
-def _percent(values: BoolArray) -> float:
-    return 100.0 * float(np.mean(values)) if values.size else math.nan
-
-
 def _recorded(
     row: Row, joint: Bench, gap_rad: float, name: str, rng: np.random.Generator
 ) -> Recording:
     reach = math.radians(row.reach_deg)
     ratio = joint.value("gear_ratio")
     speed = 2.0 * reach * ratio / (row.stroke_s * (1.0 - RAMP_SHARE)) * 60.0 / (2.0 * math.pi)
-    values = {key: joint.value(key) for key in joint.parameters}
-    values |= {
+    values = values_of(joint) | {
         "gap_rad": gap_rad,
         "reference_speed_rpm": speed,
         "start_angle_rad": math.radians(row.posture_deg) - reach,
@@ -212,8 +182,3 @@ def _flank_changes(row: Row, joint: Bench, gap_rad: float, seen: Observed) -> in
     size = seen.samples, seen.sampling_hz
     twist = simulate_motions(vector, seen.motion, *size, states=True)[0, TWIST]
     return len(changes_of(twist, gap_rad, 1.0 / seen.sampling_hz, seen.excluded))
-
-
-@cache
-def _bench(path: Path) -> Bench:
-    return load_bench(path)

@@ -11,15 +11,15 @@ the simulator's dead zone, which is smaller by the compliance that friction hold
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.stats import binom
+from study_tools import LEVEL, StudyRow, interval_of
+from torque_ramp_rig import Gearbox, Ramps, measured, reading, simulate
 
 from bayesbl.measurement.ramp_route import described, of_every_cycle
 from bayesbl.ramps.flanks import Flanks, find_flanks
@@ -28,11 +28,6 @@ from bayesbl.ramps.torque_cycles import Ramps as Found
 from bayesbl.ramps.torque_cycles import find_ramps
 from bayesbl.sampling.chains import SamplerSettings
 
-sys.path.append(str(Path(__file__).parent))
-
-from torque_ramp_rig import Gearbox, Ramps, measured, reading, simulate
-
-LEVEL = 0.9
 RESOLUTION_RAD = 9.6e-5
 TURN_POSITIONS, TURN_CYCLES = 6, 6
 STEPS = 250
@@ -48,20 +43,13 @@ COLUMNS = {
 }
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: what kind of gearboxes, and at how many positions they are ramped."""
-
-    model_config = ConfigDict(extra="forbid")
 
     kind: Literal["play", "preloaded", "too_small"]
     positions: int = Field(ge=1)
     cycles: int = Field(default=5, ge=1)
     stiff: bool = False
-    cases: int = Field(ge=1)
-
-
-def count(row: Row) -> int:
-    return row.cases
 
 
 def drawn(row: Row, generator: np.random.Generator) -> tuple[Gearbox, Ramps]:
@@ -112,7 +100,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
     width = sample_play([widths], settings, sampler_seed).width_rad["case"]
     none = generator.uniform(size=width.shape) > flanks.probability_of_play
     delta = 0.5 * width * np.where(none, generator.uniform(size=width.shape), 1.0)
-    low, middle, high = np.quantile(delta, (0.5 - LEVEL / 2.0, 0.5, 0.5 + LEVEL / 2.0))
+    (low, high), middle = interval_of(delta), float(np.median(delta))
     found = {**nothing, "answered": 1.0, "none": 1.0 - flanks.probability_of_play}
     if row.kind != "play":
         return found

@@ -12,24 +12,19 @@ encoder faults and seeds anew.
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-import xarray as xr
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
-
-from bayesbl.two_encoders.paths import Channels
-
-sys.path.append(str(Path(__file__).parent))
-
+from pydantic import Field
+from study_tools import StudyRow
 from two_encoders import COLUMNS as COLUMNS
 from two_encoders import Joint, scored
-from two_encoders import summarise as summarised
+from two_encoders import summarise as summarise
+
+from bayesbl.two_encoders.paths import Channels
 
 Array = NDArray[np.float64]
 
@@ -154,22 +149,15 @@ RIGS = MappingProxyType(
 )  # fmt: skip
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: which rig."""
 
-    model_config = ConfigDict(extra="forbid")
-
     rig: str = Field(pattern="|".join(f"^{name}$" for name in RIGS))
-    cases: int = Field(ge=1)
 
     @property
     def play(self) -> bool:
         """Whether it has any."""
         return RIGS[self.rig].play > 0.0
-
-
-def count(row: Row) -> int:
-    return row.cases
 
 
 def reference(rig: Rig, amplitude: float, period: float, generator: np.random.Generator) -> Array:
@@ -301,7 +289,3 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
     made_seed, fit_seed = seed.spawn(2)
     joint, channels = simulated(RIGS[row.rig], np.random.default_rng(made_seed))
     return scored(joint, channels, fit_seed)
-
-
-def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
-    return summarised(row, cases)

@@ -21,8 +21,9 @@ import numpy as np
 import xarray as xr
 from numba import njit
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel
 from scipy.stats import binom
+from study_tools import LEVEL, StudyRow, held, interval_of, mean
 
 from bayesbl.measurement.two_encoder_route import upper_bound_rad
 from bayesbl.two_encoders.paths import Channels
@@ -30,7 +31,6 @@ from bayesbl.two_encoders.transmission import fit_transmission
 
 Array = NDArray[np.float64]
 
-LEVEL = 0.9
 TOLD = 0.95
 BRAKE = (0.3, 0.9)
 """Torque at the output over the load's friction: it bends the joint, and turns no flank."""
@@ -53,19 +53,12 @@ COLUMNS = {
 }
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: the simulator, whether there is play, and whether the motor's torque is recorded."""
-
-    model_config = ConfigDict(extra="forbid")
 
     simulator: Literal["kinematic", "dynamic"]
     play: bool = True
     torque: bool = False
-    cases: int = Field(ge=1)
-
-
-def count(row: Row) -> int:
-    return row.cases
 
 
 def motion(generator: np.random.Generator, amplitude: float) -> tuple[Array, float]:
@@ -260,30 +253,22 @@ def scored(joint: Joint, channels: Channels, fit_seed: np.random.SeedSequence) -
     own, of_joint = fit_seed.spawn(2)
     found = fit_transmission(channels, own, of_joint, joint.stated)
 
-    def bounds(values: Array) -> tuple[float, float]:
-        low, high = np.quantile(values, (0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0))
-        return float(low), float(high)
-
-    def covered(name: str, truth: float) -> float:
-        low, high = bounds(found.draws[name])
-        return float(low <= truth <= high)
-
     play = found.draws["play_rad"]
     told = found.probability_of_play >= TOLD
-    low, high = bounds(play)
+    low, high = interval_of(play)
     compliance = "compliance_rad_per_nm"
     return {
         "play_rad": joint.play_rad,
         "lost_rad": joint.lost_rad,
         "probability": found.probability_of_play,
-        "play_covered": float(low <= joint.play_rad <= high) if told else math.nan,
+        "play_covered": held(play, joint.play_rad) if told else math.nan,
         "bound_holds": float(joint.play_rad <= 2.0 * upper_bound_rad(found)),
-        "lost_covered": covered("lost_motion_rad", joint.lost_rad),
-        "stiffness_covered": covered(compliance, 1.0 / joint.stiffness)
+        "lost_covered": held(found.draws["lost_motion_rad"], joint.lost_rad),
+        "stiffness_covered": held(found.draws[compliance], 1.0 / joint.stiffness)
         if compliance in found.draws
         else math.nan,
-        "ratio_covered": covered("gear_ratio", joint.ratio),
-        "skew_covered": covered("channel_skew_s", joint.skew_s),
+        "ratio_covered": held(found.draws["gear_ratio"], joint.ratio),
+        "skew_covered": held(found.draws["channel_skew_s"], joint.skew_s),
         "error": float(np.median(play)) / joint.play_rad - 1.0
         if told and joint.play_rad
         else math.nan,
@@ -300,18 +285,13 @@ class HasPlay(Protocol):
 
 
 def summarise(row: HasPlay, cases: xr.Dataset) -> dict[str, float]:
-    def mean(name: str) -> float:
-        values = cases[name].values
-        values = values[np.isfinite(values)]
-        return float(values.mean()) if values.size else math.nan
-
     told = cases["probability"].values >= TOLD
     band = binom.ppf((0.005, 0.995), max(int(told.sum()), 1), LEVEL) / max(int(told.sum()), 1)
     size = np.abs(cases["error"].values)
     return {
         "told": float(told.sum()),
         "false_play": math.nan if row.play else float(told.mean()),
-        **{name: mean(name) for name in COLUMNS if name.endswith(("covered", "holds"))},
+        **{name: mean(cases[name]) for name in COLUMNS if name.endswith(("covered", "holds"))},
         "stiffness_given": float(np.isfinite(cases["stiffness_covered"].values).sum()),
         "band_low": float(band[0]),
         "band_high": float(band[1]),

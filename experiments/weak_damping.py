@@ -11,19 +11,14 @@ always in (:mod:`bayesbl.model_search.always_in`), by the normal approximation.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveInt
+from independent_bench import random_recordings, values_of
+from pydantic import NonNegativeFloat, PositiveInt
+from study_tools import StudyRow, inside
 
-sys.path.append(str(Path(__file__).parent))
-
-from independent_bench import random_recordings
-
-from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
@@ -33,18 +28,13 @@ from bayesbl.model_search.always_in import laws, with_far_terms_freed
 GAP_RAD = 2.3e-4
 SPEEDS_RPM = (2000.0, -2000.0, 1200.0)
 DRAWS = 4000
-LEVEL = 0.9
 
 
-class Row(BaseModel):
+class Row(StudyRow):
     """A row: the damping in N m s/rad at a compression of one radian, and its first seed."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str
     damping: NonNegativeFloat
     first_seed: PositiveInt
-    cases: PositiveInt
 
 
 COLUMNS = {
@@ -55,16 +45,11 @@ COLUMNS = {
 }
 
 
-def count(row: Row) -> int:
-    """Number of joints."""
-    return row.cases
-
-
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One joint; its seed is the row's first one and the case's place."""
     bench = reference_bench()
     made = random_recordings(
-        {info.name: bench.value(info.name) for info in BENCH_PARAMETERS},
+        values_of(bench),
         {"outside__contact_damping_nm_s_per_rad": row.damping} if row.damping else {},
         np.random.default_rng(row.first_seed + index),
         gap_rad=(GAP_RAD, GAP_RAD),
@@ -89,10 +74,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     """How often the 90 % interval holds δ, and how wide it is."""
     below, z = cases["below"].values, cases["z"].values
-    held = (below > 0.5 - 0.5 * LEVEL) & (below < 0.5 + 0.5 * LEVEL)
     return {
         "joints": float(below.size),
-        "held": float(held.sum()),
+        "held": float(inside(below).sum()),
         "held_alone": float(np.sum(np.abs(cases["alone_z"].values) < 1.645)),
         "mean_z": float(z.mean()),
         "root_mean_square_z": float(np.sqrt(np.mean(z**2))),

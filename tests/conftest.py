@@ -6,13 +6,16 @@ cores, threads waiting for one another cost tenfold.
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 
 import pytest
+from mosquitto import Broker, mosquitto_is_installed
 from places import EXPERIMENTS
 from quick import without_figures
 
@@ -22,6 +25,9 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 LONGEST = (
     "test_paper_figures.py",
     "test_golden.py",
+    "test_two_encoders.py",
+    "test_always_in.py",
+    "test_forms.py",
     "test_cli.py",
     "test_figures.py",
     "test_forward.py",
@@ -53,6 +59,8 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     if options.numprocesses is None and not options.usepdb:
         options.numprocesses = "logical"
         options.dist = "loadfile"  # what a file's tests share is made once
+        # Its first import on a day writes a file, and fails where two processes do so at once.
+        importlib.import_module("arviz")
         options.loadscopereorder = False
 
 
@@ -72,6 +80,18 @@ def no_figures() -> Iterator[None]:
     """Runs of this test write no figures."""
     with without_figures():
         yield
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    """A running broker, empty at first."""
+    pytest.importorskip("paho.mqtt")
+    if not mosquitto_is_installed():
+        pytest.skip("needs mosquitto: apt-get install mosquitto")
+    made = Broker(tmp_path / "broker")
+    made.start()
+    yield made
+    made.stop()
 
 
 @pytest.fixture(scope="session")

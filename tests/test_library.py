@@ -5,15 +5,19 @@ from __future__ import annotations
 import inspect
 import re
 import tomllib
+from pathlib import Path
 
 import pytest
+import xarray as xr
 from fresh_process import loaded_by
 from places import ROOT
 
 import bayesbl
 from bayesbl import cli
 from bayesbl.cli.commands import compare_command, diagnose_command, fit_command, identify_command
+from bayesbl.errors import ResultError
 from bayesbl.presentation.console import all_bibtex
+from bayesbl.results.store import write_tree
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 CODE = re.compile(r"^```(?:python|\{code-cell\}.*?)\n(?::.*?\n)*(.*?)^```", re.S | re.M)
@@ -93,3 +97,12 @@ def test_bibtex_entries_are_whole():
         assert re.match(r"@\w+\{\w+,\n", entry)
         assert "\n  title = {" in entry
         assert "\n  annote = {" in entry
+
+
+def test_a_result_of_a_later_versions_kind_is_refused(tmp_path: Path) -> None:
+    """Its seal and its layout are as they should be."""
+    tree = xr.DataTree()
+    tree.attrs = {"kind": "oracle", "outcome": "converged"}
+    write_tree(tree, tmp_path / "result.nc")
+    with pytest.raises(ResultError, match="kind of this result is unknown"):
+        bayesbl.read_result(tmp_path)

@@ -297,8 +297,8 @@ class SweptDraws:
 def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> FloatArray:
     """Departures (ln A, ln ω, ln τ) of :data:`VIRTUAL_DRAWS` benches drawn within the tolerances.
 
-    The model is linear in the parameters, with squares if there are three swept draws per term.
-    With too few swept draws for either, these are repeated.
+    The model is linear in the parameters. What is not stays in its residuals, which are added back.
+    With too few swept draws for it, these are repeated.
 
     Returns
     -------
@@ -308,8 +308,7 @@ def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> Flo
     draws, parameters = swept.shifts.shape
     if draws < 2 * (1 + parameters):
         return np.asarray(swept.departures[generator.integers(draws, size=count)])
-    squares = draws >= 3 * (1 + 2 * parameters)
-    design = _terms(swept.shifts, squares)
+    design = np.column_stack([np.ones(draws), swept.shifts])
     flat = swept.departures.reshape(draws, -1)
     solution = np.linalg.lstsq(design, flat, rcond=None)[0]
     freedom = max(draws - design.shape[1], 1)
@@ -318,17 +317,9 @@ def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> Flo
         virtual = generator.uniform(-1.0, 1.0, size=(count, parameters))
     else:
         virtual = generator.standard_normal((count, parameters)) @ swept.root.T
-    predicted = (
-        _terms(virtual, squares) @ solution + residual[generator.integers(draws, size=count)]
-    )
+    predicted = np.column_stack([np.ones(count), virtual]) @ solution
+    predicted += residual[generator.integers(draws, size=count)]
     return np.asarray(predicted.reshape(count, *swept.departures.shape[1:]))
-
-
-def _terms(shifts: FloatArray, squares: bool) -> FloatArray:
-    columns = [np.ones((len(shifts), 1)), shifts]
-    if squares:
-        columns.append(shifts**2)
-    return np.concatenate(columns, axis=1)
 
 
 REGRESSION_DRAWS = 2000

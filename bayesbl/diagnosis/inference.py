@@ -307,11 +307,6 @@ class Discrepancy:
     own: float = 0.0
     of: str = ""
 
-    @property
-    def varies(self) -> bool:
-        """Whether its variable does: at one speed, nothing shows a form."""
-        return self.series is None or float(np.ptp(self.series.reach)) > STEADY * self.series.period
-
 
 @dataclass(frozen=True, eq=False)
 class AffineModel:
@@ -417,9 +412,6 @@ def with_shared_scale(
     }
 
 
-STEADY = 0.01
-"""Range of a variable, in periods of a series, below which it is constant."""
-
 DRAWS = 1000
 """Number of posterior draws: a standard deviation is exact to 2 %."""
 
@@ -494,6 +486,10 @@ class View(ABC):
     def silent(self) -> Sequence[str]:
         """Candidates that are fitted even if they are not reportable."""
         return ()
+
+    def remarks(self, inference: Inference) -> Iterator[str]:
+        """Notes on what an inference finds that is in no catalogue."""
+        yield from ()
 
     def rivals(
         self, errors: Sequence[ParameterError], estimates: Mapping[str, Estimate]
@@ -580,7 +576,7 @@ class Inference:
                     unit=unit,
                     source=(candidate, look),
                 )
-        for form in (d for d in self.model.discrepancies if d.is_form and d.varies):
+        for form in (d for d in self.model.discrepancies if d.is_form):
             columns, rows = form.columns, self.model.rows
             size = math.sqrt(float((columns[rows.shown] ** 2).mean(axis=0).sum())) or 1.0
             size = FORM_SHARE * math.hypot(self._level, form.own) / size
@@ -716,12 +712,12 @@ class Inference:
                 value = middle + np.angle(np.exp(1j * (value - middle)))
             spread = float(share @ (variance + (value - middle) ** 2))
             if name == candidate.parameters[0]:
-                spread += self._between_recordings(label)
+                spread += self.between_recordings(label)
             estimates[name] = Estimate(middle, math.sqrt(spread))
         return estimates
 
-    def _between_recordings(self, label: str) -> float:
-        """Variance of a candidate's mean size, because it differs between the recordings.
+    def between_recordings(self, label: str) -> float:
+        """Variance of a mean size, of a candidate or parameter that differs between the recordings.
 
         Σ c²/(R (R − 1)), with the departures c of R recordings from their mean.
         """
@@ -741,7 +737,14 @@ class Inference:
         for term, end in zip(self.terms, ends, strict=True):
             if term.hypothesis == name:
                 draws = draws + self.draws.sizes[:, end - 1] * float(np.ravel(term.unit)[0])
-        return Estimate(float(draws.mean()), float(draws.std()))
+        variance = float(draws.var()) + self.between_recordings(name)
+        return Estimate(float(draws.mean()), math.sqrt(variance))
+
+    def always(self, k: int) -> FloatArray:
+        """Draws of the sizes of a term that is always included, (n, p)."""
+        first = sum(term.columns.shape[1] for term in self.terms[:k])
+        width = self.terms[k].columns.shape[1]
+        return self.draws.sizes[:, first : first + width] * self.terms[k].unit
 
     @property
     def average(self) -> Coefficients:
@@ -750,11 +753,8 @@ class Inference:
             k: weight @ mean * self.terms[k].unit
             for k, (weight, mean, _) in self.posterior.sizes.items()
         }
-        ends = np.cumsum([term.columns.shape[1] for term in self.terms]).tolist()
-        for k, (term, end) in enumerate(zip(self.terms, ends, strict=True)):
-            if term.always:
-                draws = self.draws.sizes[:, end - term.columns.shape[1] : end]
-                sizes[k] = draws.mean(axis=0) * term.unit
+        always = {k: self.always(k).mean(axis=0) for k, t in enumerate(self.terms) if t.always}
+        sizes |= always
         return Coefficients(
             self.draws.fitted.mean(axis=0),
             sizes,
@@ -934,13 +934,13 @@ def diagnose(
     """
     view, inference = inferred(view.prepared(), progress)
     named, remaining = _named(view, inference, most)
-    group = _learned_group(inference)
+    groups = _learned_groups(inference)
     silent = {label for label, _ in named if not view.reportable(inference, label)}
     view, at = view.settled([label for label, _ in named]), inference
     if view.model is not inference.model:
         at = Inference(view.model, inference.noises)
-    named, fitted = _fitted(at, named, [] if group is None else [group])
-    learned = None if group is None else learned_answer(at, fitted, group)
+    named, fitted = _fitted(at, named, groups)
+    learned = next(filter(None, (learned_answer(at, fitted, group) for group in groups)), None)
     kinds = {label: inference.labels[label].kind for label, _ in named}
     estimates = {
         name: Estimate(bench.value(name) + value, at.change(name).rms_about(value))
@@ -984,7 +984,7 @@ def diagnose(
         disagreement["noise_floor"], ROUNDING * disagreement["before"], _TINY
     )
     is_much = over_noise > EXCESS
-    remains = bool(lines or denied or group is not None or "gravity" in kinds.values()) or is_much
+    remains = bool(lines or denied or groups or "gravity" in kinds.values()) or is_much
     if effects and is_much:
         denied = (
             f"With what is named, {over_noise:.0f} times the noise remains: "
@@ -996,7 +996,13 @@ def diagnose(
         errors,
         lines,
         pieces,
-        (*denied, *([SCALED] if rivals else []), *notes, *_gravity_notes(inference)),
+        (
+            *denied,
+            *([SCALED] if rivals else []),
+            *notes,
+            *view.remarks(inference),
+            *_differences(inference, groups),
+        ),
         bench_parameters=estimates,
         learned=learned,
     )
@@ -1006,15 +1012,16 @@ def diagnose(
     return replace(answer, augmented_bench=view.augmented(sizes, answer))
 
 
-def _gravity_notes(inference: Inference) -> Iterator[str]:
-    """A note if gravity is found that the bench lacks."""
-    if "gravity" in inference.posterior.named:
-        ((name, size),) = inference.values("gravity").items()
+def _differences(inference: Inference, groups: Sequence[int]) -> Iterator[str]:
+    """Notes on sizes that differ between the recordings."""
+    recordings = len(inference.model.rows.recordings)
+    for name in filter(None, (inference.model.discrepancies[group].of for group in groups)):
+        sd = math.sqrt(recordings * inference.between_recordings(name))
+        info = PARAMETER_INFO.get(name) or effect_named(name).parameters[0]
         yield (
-            "The rest follows the load's angle as gravity does, although the bench has "
-            f"{name} = 0: {size.value:.3g} N m at the load were fitted, with their "
-            "direction. A balancer that the bench lacks may look the same. Give gravity in the "
-            "bench file, if it is that."
+            f"{name} differs between the recordings, with a standard deviation of {sd:.2g} "
+            f"{info.unit}; what is stated is the mean. Recordings with one payload and temperature "
+            "show it better."
         )
 
 
@@ -1058,8 +1065,9 @@ def _fitted(
         named = [pair for pair in named if pair[0] not in none]
 
 
-def _learned_group(inference: Inference) -> int | None:
-    """The discrepancy group to report: almost certain, with a fair share of the excess χ²."""
+def _learned_groups(inference: Inference) -> list[int]:
+    """Discrepancy groups to report: almost certain, with a fair share of the excess χ², the largest
+    first."""
     posterior, shares = inference.posterior, dict[int, float]()
     for group, columns in enumerate(inference.groups):
         present = (m.log_posterior for m in posterior.models if m.scales[group] > 0.0)
@@ -1069,7 +1077,7 @@ def _learned_group(inference: Inference) -> int | None:
             share = float(signal @ signal) / max(posterior.excess_chi_square, 1.0)
             if share > LEARNED_SHARE:
                 shares[group] = share
-    return max(shares, key=lambda group: shares[group], default=None)
+    return sorted(shares, key=lambda group: -shares[group])
 
 
 def _effect(

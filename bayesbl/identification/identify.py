@@ -31,13 +31,7 @@ from bayesbl.bench.parameters import JointNormal
 from bayesbl.bench.steady import contact_rates
 from bayesbl.diagnosis.closed_loop.prediction import augmented_bench
 from bayesbl.errors import BenchError
-from bayesbl.matching.alignment import (
-    aligned_starts,
-    fit_aligned,
-    in_motion,
-    remaining_noise,
-    valid_variant,
-)
+from bayesbl.matching.alignment import aligned_starts, fit_aligned, remaining_noise, valid_variant
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
@@ -258,20 +252,13 @@ def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) 
 
 
 def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
-    """Fit the bench within its tolerances where it is valid, with the effects asked for by name.
-
-    If nothing explains the recordings, standstills are left out to name what is missing: friction
-    at rest has any value up to a limit, which no law of the catalogue has.
-    """
+    """Fit the bench within its tolerances, with the effects asked for by name."""
     stage = of_stage(progress, "Fitting the bench")
     fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, stage)
     nominal = Explanation((), fit)
     if problem.effects not in ("catalogue", ()):
         nominal = _with_effects(nominal, problem, motor_orders(fit))
-    fit = valid_variant(nominal.fit)
-    if fit is nominal.fit and not is_explained(nominal.fit):
-        fit = in_motion(fit) or fit
-    return replace(nominal, fit=fit)
+    return replace(nominal, fit=valid_variant(nominal.fit))
 
 
 def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]) -> Explanation:

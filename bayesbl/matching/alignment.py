@@ -1,15 +1,10 @@
-"""Find where a recording starts and roughly how large the gap is, from the recording alone.
-
-Motions are fitted under the assumptions that the bench satisfies: without standstills, or with a
-held reference.
-"""
+"""Find where a recording starts and roughly how large the gap is, from the recording alone."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -19,15 +14,9 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
-from bayesbl.errors import RecordingError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import motion_starts, noise_of, remembered_start, start_angles
-from bayesbl.matching.observed import (
-    Observed,
-    with_held_reference,
-    without_standstill,
-    without_start,
-)
+from bayesbl.matching.observed import Observed, with_held_reference, without_start
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import (
     AT_ONCE,
@@ -312,37 +301,15 @@ def _rotations(
 def valid_variant(
     fit: SimulatedFit, explains: Callable[[SimulatedFit], bool] = is_explained
 ) -> SimulatedFit:
-    """The fit, or if it does not explain its recordings, the first variant for motions that does.
+    """The fit, or one with held references if only that explains its motions.
 
-    A digital drive holds its reference from sample to sample, and friction at a standstill differs
-    from that in motion.
+    A digital drive holds its reference from sample to sample.
     """
     moves = any(observation.motion is not None for observation in fit.model.recordings)
     if not moves or explains(fit):
         return fit
-    return next((variant for variant in _variants(fit) if explains(variant)), fit)
-
-
-def _variants(fit: SimulatedFit) -> Iterator[SimulatedFit]:
-    """Variants of the fit: without standstills, with a held reference, and both."""
-    moving = in_motion(fit)
-    if moving is not None:
-        yield moving
-    yield _held(fit)
-    if moving is not None:
-        yield _held(moving)
-
-
-def in_motion(fit: SimulatedFit) -> SimulatedFit | None:
-    """The fit without its motions' standstills; ``None`` if there are none, or little is left."""
-    moving = [
-        without_standstill(observation, fit.model.bench) for observation in fit.model.recordings
-    ]
-    if _compared(moving) == _compared(fit.model.recordings):
-        return None
-    with suppress(RecordingError):
-        return refitted(replace(fit.model, recordings=moving), fit)
-    return None
+    held = _held(fit)
+    return held if explains(held) else fit
 
 
 def _held(fit: SimulatedFit) -> SimulatedFit:
@@ -355,8 +322,3 @@ def _held(fit: SimulatedFit) -> SimulatedFit:
         unknowns=[model.unknowns[k] for k in kept],
     )
     return refitted(held, replace(fit, point=fit.point[kept], steps=fit.steps[kept]))
-
-
-def _compared(recordings: Sequence[Observed]) -> int:
-    """Number of compared samples of all recordings."""
-    return sum(int(observation.compared.sum()) for observation in recordings)

@@ -294,9 +294,9 @@ def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray)
 
 
 def prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
-    """Gradient of the log prior at a point, shape (d,), without flat priors."""
+    """Gradient of the log prior at points, shape (…, d), without flat priors."""
     prior = model.normal_prior
-    return np.asarray(-prior.precision @ (point - prior.centre))
+    return np.asarray((prior.centre - point) @ prior.precision)
 
 
 def _bounded_step(

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED, Slot
+from bayesbl.bench.kernel import CURRENT, SPEED, Slot
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.simulation import ACCURACY
 from bayesbl.bench.steady import settling_time_s
@@ -66,10 +66,6 @@ by about as little. A larger error of the gear ratio means a rounded ratio, or a
 FAST_S = 0.25
 """In a motion that does not repeat, noise is what is faster than a mean over this time. It covers
 at least two periods of any ringing, and is long compared with the correlation of sensor noise."""
-
-STANDSTILL = 20.0 * SIGN_WIDTH_SHARE
-"""Speed below which the joint stands still, relative to its reference speed: twenty times the width
-over which friction changes its sign. Above, friction is that of motion."""
 
 LEAST_NOISE = ACCURACY
 """Relative to the reference speed: agreement of simulated speeds with an independent solver."""
@@ -502,29 +498,10 @@ def marginalising_motor_lines(observation: Observed, bench: Bench) -> Observed:
 def without_start(observation: Observed, samples: int) -> Observed:
     """Exclude the first samples, at most ``MOST_LEFT_OUT`` of the recording."""
     begin = min(samples, int(MOST_LEFT_OUT * observation.samples))
-    return _without(observation, np.arange(observation.samples) < begin)
-
-
-def without_standstill(observation: Observed, bench: Bench) -> Observed:
-    """Exclude every standstill and the transient after it.
-
-    Friction at rest (sticking, creep, a brake) differs from that in motion, and a bench describes
-    it badly.
-    """
-    if observation.motion is None:
-        return observation
-    memory = np.ones(_recovery(observation, bench) + 1)
-    remembers = np.convolve(standstills(observation, bench), memory)[: observation.samples] > 0.5
-    # The motor lags behind its reference, so it stands a little later; the transient covers this.
-    return _without(observation, remembers)
-
-
-def standstills(observation: Observed, bench: Bench) -> BoolArray:
-    """Samples at which a motion's reference is nearly at rest, shape (n,)."""
-    assert observation.motion is not None
-    time = np.arange(observation.samples, dtype=np.float64) / observation.sampling_hz
-    fastest = max(observation.reference_speed_rpm, abs(bench.value("reference_speed_rpm")))
-    return np.asarray(np.abs(observation.motion.speed_rpm(time)) < STANDSTILL * fastest)
+    left_out = np.arange(observation.samples) < begin
+    if observation.excluded is not None:
+        left_out |= observation.excluded
+    return replace(observation, excluded=left_out)
 
 
 def with_held_reference(observation: Observed) -> Observed:
@@ -546,13 +523,6 @@ def _recovery(observation: Observed, bench: Bench) -> int:
     accuracy_rpm = max(noise, LEAST_NOISE * abs(observation.reference_speed_rpm))
     settled = float(settling_time_s(fastest, accuracy_rpm)[0])
     return math.ceil(settled * observation.sampling_hz)
-
-
-def _without(observation: Observed, left_out: BoolArray) -> Observed:
-    excluded: BoolArray = (
-        left_out if observation.excluded is None else left_out | observation.excluded
-    )
-    return replace(observation, excluded=excluded)
 
 
 def whole_rotations(rows: FloatArray, lag: int) -> FloatArray:

@@ -1,10 +1,10 @@
 """Posterior of the gap and all other unknowns, from simulations of the recordings.
 
 Draws come from a second-order surrogate of the whitened signals: independent ones if it is roughly
-normal within the ranges, otherwise by emcee. Full simulations of some draws show how far importance
-weights would move the answer. If that is less than the sampler's own error, the draws are kept as
-they are. Otherwise the surrogate is fitted again around them. If no surrogate suffices, all draws
-of the best are simulated and weighted.
+normal within the ranges, otherwise by Hamiltonian Monte Carlo. Full simulations of some draws show
+how far importance weights would move the answer. If that is less than the sampler's own error, the
+draws are kept as they are. Otherwise the surrogate is fitted again around them. If no surrogate
+suffices, all draws of the best are simulated and weighted.
 """
 
 from __future__ import annotations
@@ -20,21 +20,13 @@ from numpy.typing import NDArray
 
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.impacts import scattered
-from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.least_squares import SimulatedFit, prior_pull
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
 from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, chi2_sf, ends
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import (
-    Ensembles,
-    SamplerSettings,
-    Walk,
-    chance_at_edge,
-    thinned,
-    walk,
-    walkers_needed,
-)
+from bayesbl.sampling.chains import SamplerSettings, Walk, chance_at_edge, thinned, walk
 from bayesbl.sampling.convergence import Diagnostics, Flaw
 from bayesbl.sampling.importance import (
     effective_size,
@@ -42,6 +34,7 @@ from bayesbl.sampling.importance import (
     resampled,
     truncated_normal,
 )
+from bayesbl.sampling.trajectories import Trajectories
 
 DRAWS = 1000
 """Draws over all ensembles."""
@@ -49,7 +42,12 @@ CHECKED = 100
 """Number of draws that are first simulated in full: weights with standard deviation s move a mean
 by s/10 at random."""
 MOST_PROPOSED = 256_000
-"""Number of weighted draws of the surrogate. They take a second; emcee takes a minute."""
+"""Number of weighted draws of the surrogate."""
+WALKERS = 32
+"""Walkers of an ensemble: their trajectories are independent, and many at once are fast."""
+MOST_TRAJECTORIES = 1000
+"""Of a walker. If a far end of the surrogate is reached more slowly, simulations refute the draws
+there sooner than more trajectories settle their share."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
 """Effective share of the draws below which a surrogate is fitted again."""
@@ -222,6 +220,15 @@ def _log_density(model: SimulatedSignals, surrogate: Surrogate, points: FloatArr
     # Far from the recordings χ² overflows; such a point has no weight.
     finite = np.isfinite(chi_square)
     return np.where(finite, prior, -np.inf) - 0.5 * np.where(finite, chi_square, 0.0)
+
+
+def _density_and_slope(
+    model: SimulatedSignals, surrogate: Surrogate, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """ln posterior density by the surrogate and its gradient, (m, d) to (m,) and (m, d)."""
+    chi_square, slope = surrogate.with_gradient(points)
+    density = model.log_prior(points) - 0.5 * chi_square
+    return density, prior_pull(model, points) - 0.5 * slope
 
 
 def sample_direct(
@@ -430,7 +437,7 @@ def _walk(
     seed: np.random.SeedSequence,
     progress: Progress,
 ) -> Walk:
-    """Independent draws, or emcee until chains are long and the gap's interval is stable."""
+    """Independent draws, or trajectories until chains are long and the gap's interval is stable."""
     target, box = partial(_log_density, model, surrogate), (model.low, model.high)
     generator = np.random.default_rng(seed.spawn(1)[0])
     independent = independent_draws(
@@ -439,15 +446,15 @@ def _walk(
     if independent is not None:
         points, chosen, share = independent
         return _independent(points[chosen], settings, share)
-    walkers = walkers_needed(len(model.unknowns))
     start_seed, walk_seed = seed.spawn(2)
-    starts = local.drawn(settings.ensembles * walkers, (model.low, model.high), start_seed)
-    starts = starts.reshape(settings.ensembles, walkers, -1)
-    ensembles = Ensembles(target, starts, local.centre, local.covariance, walk_seed)
+    starts = local.drawn(settings.ensembles * WALKERS, box, start_seed)
+    starts = starts.reshape(settings.ensembles, WALKERS, -1)
+    slope = partial(_density_and_slope, model, surrogate)
+    ensembles = Trajectories(slope, starts, local.covariance, box, walk_seed)
     gaps = [i for i, u in enumerate(model.unknowns) if u.name == GAP]
     return walk(
         ensembles,
-        settings,
+        replace(settings, max_steps=min(settings.max_steps, MOST_TRAJECTORIES)),
         lambda chains: ends(chains[..., gaps], settings.level, (0, 1, 2)),
         np.sqrt(np.diag(local.covariance))[gaps],
         progress,

@@ -146,15 +146,22 @@ def _powers(band: FloatArray) -> tuple[float, float]:
 def _by_band(
     row: FloatArray, observation: Observed, *, scatters: bool
 ) -> Iterator[tuple[int, float, float]]:
-    """Repeating power by band; slow power if nothing repeats, or less than two cycles are compared.
+    """Yield (highest order, ratio, probability) for each band.
 
-    A motion of two cycles is compared without its start, so it has less than two.
+    The repeating power, or slow power if nothing repeats, or less than two cycles are compared: a
+    motion of two cycles is compared without its start. ``scatters``: compare it with the power of
+    noise in the same row, instead of with 1.
     """
-    if not observation.repeats:
-        return _slow(row, observation.lag, scatters=scatters)
-    if scatters and len(whole_rotations(row, observation.lag)) < 2:
-        return _slow(row, row.size // 4, scatters=scatters)
-    return _repeating(row, observation.lag, scatters=scatters)
+    powers = _slow(row, observation.lag)
+    if observation.repeats:
+        turns = whole_rotations(row, observation.lag)
+        powers = _slow(row, row.size // 4) if scatters and len(turns) < 2 else _repeating(turns)
+    for highest, power, degrees, noise_power, noise_degrees in powers:
+        ratio, probability = power / degrees, float(chi2_sf(power, degrees))
+        if scatters:
+            ratio /= noise_power / noise_degrees
+            probability = f_sf(ratio, degrees, noise_degrees)
+        yield highest, ratio, probability
 
 
 def standing_out(entries: Sequence[RepeatingPower]) -> list[RepeatingPower]:
@@ -186,28 +193,19 @@ def _band(spectrum: ComplexArray, highest: int) -> FloatArray:
     return np.concatenate([band.real, band.imag], axis=1)
 
 
-def _repeating(row: FloatArray, lag: int, *, scatters: bool) -> Iterator[tuple[int, float, float]]:
-    """Yield (highest order, ratio, probability) for each band.
-
-    ``scatters``: estimate the noise power from the scatter between rotations, instead of taking 1.
-    """
-    turns = whole_rotations(row, lag)
-    rotations = len(turns)
+def _repeating(turns: FloatArray) -> Iterator[tuple[int, float, int, float, int]]:
+    """Power of the mean of rotations (r, lag), and of the scatter about it, each with its degrees
+    of freedom, by band: (highest order, power, degrees, noise power, noise degrees)."""
     spectrum = _spectrum(turns)
     for highest in BANDS:
         band = _band(spectrum, highest)
         degrees = band.shape[1]
         repeats, scatter = _powers(band)
-        if scatters:
-            ratio = (repeats / degrees) / (scatter / (degrees * (rotations - 1)))
-            probability = f_sf(ratio, degrees, degrees * (rotations - 1))
-        else:
-            ratio, probability = repeats / degrees, float(chi2_sf(repeats, degrees))
-        yield highest, ratio, probability
+        yield highest, repeats, degrees, scatter, degrees * (len(turns) - 1)
 
 
-def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> Iterator[tuple[int, float, float]]:
-    """The same for a motion that does not repeat: its slow power over that of the fastest half.
+def _slow(row: FloatArray, quarter: int) -> Iterator[tuple[int, float, int, float, int]]:
+    """The same for a motion that does not repeat: its slow power, and that of the fastest half.
 
     The bands are in cycles per quarter of the recording; whitened noise has the same power in all.
     """
@@ -219,10 +217,5 @@ def _slow(row: FloatArray, quarter: int, *, scatters: bool) -> Iterator[tuple[in
             continue
         band = spectrum[:1] if highest == 0 else spectrum[1:end]
         degrees = 1 if highest == 0 else 2 * band.size
-        if scatters:
-            ratio = float(band.mean() / fast.mean())
-            probability = f_sf(ratio, degrees, 2 * fast.size)
-        else:
-            ratio = float(band.mean())
-            probability = float(chi2_sf(degrees * ratio, degrees))
-        yield highest, ratio, probability
+        power = degrees * float(band.mean())
+        yield highest, power, degrees, 2.0 * float(fast.sum()), 2 * fast.size

@@ -51,6 +51,21 @@ class _Part:
         chi_square[is_valid] = np.einsum("mp,mp->m", terms @ self.gram, terms)
         return chi_square
 
+    def with_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """χ² and its gradient by the recording's unknowns, (m, d) to (m,) and (m, k)."""
+        u = (points[:, self.index] - self.centre) @ self.inverse_root.T
+        terms = quadratic_terms(u)
+        slopes = terms @ self.gram
+        k = u.shape[1]
+        first, second = np.triu_indices(k)
+        products = np.zeros((len(u), k, k))
+        products[:, first, second] = slopes[:, 1 + k :]
+        gradient = slopes[:, 1 : 1 + k] + np.einsum("mij,mj->mi", products, u)
+        gradient += np.einsum("mij,mi->mj", products, u)
+        is_valid = np.linalg.norm(u, axis=1) < self.reach
+        chi_square = np.where(is_valid, np.einsum("mp,mp->m", slopes, terms), np.inf)
+        return chi_square, 2.0 * gradient @ self.inverse_root
+
     def chi_square_by_rotation(self, points: FloatArray) -> FloatArray:
         terms = quadratic_terms((points[:, self.index] - self.centre) @ self.inverse_root.T)
         return np.stack([np.einsum("mp,mp->m", terms @ g, terms) for g in self.by_rotation], axis=1)
@@ -67,6 +82,15 @@ class Surrogate:
         # In pieces: all terms of many points would fill the memory.
         pieces = np.array_split(points, math.ceil(len(points) / MOST_POINTS))
         return np.concatenate([sum(p.chi_square(rows) for p in self.parts) for rows in pieces])
+
+    def with_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """χ² and its gradient, (m, d) to (m,) and (m, d); infinite outside the range."""
+        chi_square, gradient = np.zeros(len(points)), np.zeros(points.shape)
+        for part in self.parts:
+            of_part, slope = part.with_gradient(points)
+            chi_square += of_part
+            gradient[:, part.index] += slope
+        return chi_square, gradient
 
     def chi_square_by_rotation(self, points: FloatArray) -> list[FloatArray]:
         """χ² of each recording by its ``SimulatedSignals.rotations``, (m, d) to (m, rotation)."""

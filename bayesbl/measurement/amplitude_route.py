@@ -35,7 +35,6 @@ from bayesbl.measurement.compatibility import (
 )
 from bayesbl.measurement.curves import CURVE, SweepProblem, curves_group, read_curve
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
     JointCheck,
@@ -49,7 +48,17 @@ from bayesbl.measurement.measurement import (
     outcome_of,
     sampling_reasons,
 )
-from bayesbl.measurement.same_joint import COULD_BE, HARMLESS_SD, RINGING, change_reason, same_joint
+from bayesbl.measurement.same_joint import (
+    COULD_BE,
+    HARMLESS_SD,
+    INTEGRAL,
+    PROPORTIONAL,
+    RINGING,
+    beside_bench,
+    change_reason,
+    harmonic_name,
+    same_joint,
+)
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.probabilities import FALSE_ALARM, ends, normal_isf
 from bayesbl.processes import processes

@@ -23,7 +23,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import RecordingError
 from bayesbl.matching.least_squares import SimulatedFit, fit_at
 from bayesbl.matching.motions import flank_changes, noise_of, remembered_start
-from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed, standstills
+from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.matching.posterior import MATTERS, DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, standing_out
 from bayesbl.matching.signals import (
@@ -559,16 +559,9 @@ def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
         yield Reason("motion_once")
     if all(u.name != REFERENCE_DELAY for u in fit.model.unknowns):
         yield Reason("reference_held")
-    first_compared = observation.first_compared
-    at_rest = standstills(observation, fit.model.bench)[first_compared:]
-    if (
-        observation.excluded is not None
-        and at_rest.any()
-        and observation.excluded[first_compared:][at_rest].all()
-    ):
-        yield Reason("standstills_left_out")
-    if first_compared > 0:
-        yield Reason("start_left_out", {"begin_s": first_compared / observation.sampling_hz})
+    if observation.first_compared > 0:
+        begin_s = observation.first_compared / observation.sampling_hz
+        yield Reason("start_left_out", {"begin_s": begin_s})
 
 
 # What is reported of the joint: items, findings, blind spots.

@@ -333,17 +333,23 @@ class Label:
             name = f"{self.cause} changed"
         return name if self.recording is None else f"{name} ({self.recording})"
 
-    def term(self, columns: FloatArray) -> Term:
-        """The term for the linear search; ``columns``, (N, k), are per standard deviation."""
+    def term(self, columns: FloatArray, bench: Bench) -> Term:
+        """The term for the linear search; ``columns``, (N, k), are per standard deviation.
+
+        One snapshot cannot have less of what the fit's ``bench`` lacks.
+        """
         direction = self.directions[0]
-        positive = self.recording is None and direction.positive
+        is_lacking = all(effect.name != direction.effect for effect in bench.effects)
+        is_shared = self.recording is None
+        # Part of the friction is dry in any joint.
+        may_be_absent = is_shared and bool(direction.effect) and not direction.instead_of
+        positive = direction.positive and (is_shared or (bool(self.cause) and is_lacking))
         return Term(
             self.hypothesis,
             columns,
             positive,
             always=not self.cause,
-            # Part of the friction is dry in any joint.
-            absent=ABSENT if positive and direction.effect and not direction.instead_of else 0.0,
+            absent=ABSENT if positive and may_be_absent else 0.0,
             excludes=frozenset(self._rival_hypotheses()) if self.cause else frozenset(),
         )
 
@@ -547,7 +553,7 @@ def linearised_fit(fit: SimulatedFit, nuisances: Sequence[Direction]) -> Lineari
         stacked[:, :d],
         model.prior_precision(),
         prior_pull(model, fit.point),
-        [label.term(term_columns) for label, term_columns in by_label],
+        [label.term(term_columns, model.bench) for label, term_columns in by_label],
         np.zeros((len(stacked), 0)),
     )
     changed = {label.hypothesis: CHANGED for label in labels if label.cause}

@@ -584,7 +584,10 @@ def linearised(
     fit = explanation.fit
     noise = noise_in_loop(fit) if noise is None else noise
     labels, columns = always_terms(fit, nuisances) if nuisances else ((), [])
-    always = [label.term(term_columns) for label, term_columns in zip(labels, columns, strict=True)]
+    always = [
+        label.term(term_columns, fit.model.bench)
+        for label, term_columns in zip(labels, columns, strict=True)
+    ]
     forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
     return _banded(fit, [*terms, *always], forms, noise)
 

@@ -29,10 +29,8 @@ from bayesbl.recording.types import MOTOR_SPEED, FloatArray
 from bayesbl.units import unit_of
 
 FALSE_LINES = 0.01
-"""Probability of any false line, over all channels of all recordings."""
-
-SURE = 1e-3
-"""False-alarm probability of the other findings: repeating bands, offset, drift."""
+"""Probability of any false line, over all channels of all recordings; of any false band that
+repeats; and of any false offset, and drift."""
 
 FEWEST_ROTATIONS = 2
 MEDIAN_BINS = 201
@@ -43,9 +41,6 @@ CLEARLY = 10.0
 NEIGHBOURS = 4
 STANDS_OUT = 4.0
 """Power ratio to the neighbouring load orders above which a whole load order is a separate line."""
-
-MAIN_SHARE = 0.8
-"""Share of the significant power that lies between the reported load orders."""
 
 MOST_LINES = 6
 """Largest number of lines in a channel; weaker ones are mostly side bands."""
@@ -278,12 +273,9 @@ class _Residual:
         significant = np.flatnonzero(ratio > math.log(ratio.size / chance))
         highest = max(highest, int(significant.max(initial=0)))
         excess = 2.0 / self.without_lines.size * float((power - floor)[1 : highest + 1].sum())
-        orders = (1, highest) if len(bands) * probability * tests <= SURE else None
+        orders = (1, highest) if len(bands) * probability * tests <= FALSE_LINES else None
         if (significant := significant[significant > 0]).size:
-            cumulative = np.cumsum(power[significant]) / power[significant].sum()
-            ends = 0.5 * (1.0 - MAIN_SHARE), 0.5 * (1.0 + MAIN_SHARE)
-            low, high = (int(significant[np.argmax(cumulative >= end)]) for end in ends)
-            orders = low, high
+            orders = int(significant[0]), int(significant[-1])
         return max(excess, 0.0), orders
 
     def over_noise(self, repeating: float) -> float:
@@ -510,7 +502,7 @@ def _offset_and_drift(
         significant = {
             residual.recording: value
             for residual, (value, error) in zip(residuals, unexplained, strict=True)
-            if 2.0 * float(norm.sf(abs(value) / error)) * tests <= SURE
+            if 2.0 * float(norm.sf(abs(value) / error)) * tests <= FALSE_LINES
         }
         if significant:
             largest = max(significant.values(), key=abs)

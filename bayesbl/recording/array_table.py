@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import TIME
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import is_unit, spelled
+from bayesbl.units import OTHER_UNITS, is_unit, plain_letters, spelled
 
 MISSING = frozenset(
     "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
-    "|#num!|-|--|---|?|missing|∞|-∞|bad input|bad data|no data|i/o timeout|comm fail".split("|")
+    "|#num!|-|--|---|?|missing|∞|-∞".split("|")
 )
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -66,9 +66,13 @@ def number_in(cell: str, mark: str) -> float | None:
 
 
 def parted(cell: str) -> tuple[str, str]:
-    """Number and unit of a cell; the whole cell and no unit if the unit is unknown."""
+    """Number and unit of a cell; the whole cell and no unit if what follows is no word for one."""
     held = _WITH_UNIT.fullmatch(cell)
-    return (held[1], held[2]) if held and is_unit(spelled(held[2])) else (cell, "")
+    if held is None:
+        return cell, ""
+    is_unit_here = is_unit(spelled(held[2])) or held[2] in ("%", "‰")
+    is_other = plain_letters(held[2]) in OTHER_UNITS
+    return (held[1], held[2]) if is_unit_here or is_other else (cell, "")
 
 
 def is_number(cell: str) -> bool:
@@ -144,6 +148,7 @@ def _stamp(text: str) -> re.Match[str] | None:
     """Match date or time; months may be named: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
     text = _COMPACT.sub(r"\1-\3-\4T\5:\7:\8", text)
     text = re.sub(r"^(\d{1,2}:\d\d[.,]\d+)$", r"0:\1", text)  # minutes and seconds
+    text = re.sub(r"^(\D+ \d\d?) ([\d:.,]+) (\d{4})$", r"\1, \3 \2", text)  # of asctime
     named = _NAMED_MONTH.match(text)
     if named and bool(named[1]) != bool(named[3]):
         month = _OTHER_MONTHS.get(named[2].lower(), named[2].lower())
@@ -205,43 +210,25 @@ def _of_stamp(
     ``days`` numbers ambiguous dates in the order in which they occur.
     """
     a, mark, b, c, hours, minutes, seconds, digits, half, zone = stamp.groups()
-    hour, minute, second = int(hours), int(minutes), int(seconds or 0)
-    if half:
-        if not 1 <= hour <= 12:
-            return None
-        hour = hour % 12 + (12 if half[0] in "Pp" else 0)
-    if hour > 23 or minute > 59 or second > 60:
+    hour, minute, second, count = int(hours), int(minutes), int(seconds or 0), 0
+    if hour > (12 if half else 23) or (half and not hour) or minute > 59 or second > 60:
         return None
-    count = 0
+    if half:
+        hour = hour % 12 + (12 if half[0] in "Pp" else 0)
     if a is not None:
-        text = f"{a}{mark}{b}{mark}{c}"
-        if text not in days:
-            dated = _ordinal(a, mark, b, c)
-            if dated is None:
-                return None
+        of_dots = (c if len(c) == 4 else f"20{c}", b, a) if mark == "." else None
+        order = (a, b, c) if len(a) == 4 else of_dots
+        try:
             # A date of open order is the day after the last one that was new.
-            days[text] = dated if dated else max(days.values(), default=0) + 1
-        count = days[text]
+            known = date(*map(int, order)).toordinal() if order else 0
+        except ValueError:
+            return None
+        count = days.setdefault(f"{a}{b}{c}", known or max(days.values(), default=0) + 1)
     total = count * _DAY_S + hour * 3600 + minute * 60 + second
     if zone and zone != "Z":
         size = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
         total -= size if zone[0] == "+" else -size
     return total, float(f"0.{digits or 0}"), (a is not None, zone is not None)
-
-
-def _ordinal(a: str, mark: str, b: str, c: str) -> int | None:
-    """Day number of a date; 0 if day and month may be exchanged, ``None`` if it is no date."""
-    try:
-        if len(a) == 4:
-            return date(int(a), int(b), int(c)).toordinal()
-        year = int(c) + (2000 if len(c) <= 2 else 0)
-        if mark == ".":
-            return date(year, int(b), int(a)).toordinal()
-        day, month = (int(a), int(b)) if int(a) > 12 else (int(b), int(a))
-        date(year, month, day)
-    except ValueError:
-        return None
-    return 0
 
 
 def seconds_of_calendar(times: NDArray[np.datetime64]) -> FloatArray:

@@ -21,11 +21,14 @@ from bayesbl.recording.channels import (
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
+    OTHER_UNITS,
+    QUESTIONS,
     accepted_units,
     choice_of_units,
     conversion_factor,
     is_accepted,
     is_unit,
+    plain_letters,
     spelled,
 )
 
@@ -34,18 +37,6 @@ _BOUNDARY = re.compile(r"^|(?<=[\s_/,:;|.-])|(?<=[a-z]{2})(?=[A-Z])")
 _LONGEST_ENDING = 24
 _NUMBER_FIRST = re.compile(r"[x×*]?\s*(\d+)(?![\d/]*min)([^\s_A-Za-z]*)")
 _BY_TIME = re.compile(r"\S+/(?:s|sec|min)|(?:s|sec|min)\^?-1")
-_QUESTIONS = frozenset(
-    "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
-    "digits step steps pu erpm percent pct permille cycles kmh kph mph mps mmps ips cdeg ddeg "
-    "cps ozin inoz lbin inlb lbft ftlb kgcm kgfcm gcm".split()
-)
-"""Words for units that are none here, or whose size only the user knows."""
-
-_OTHER_UNITS = _QUESTIONS | frozenset(
-    "v mv kv ka apk u r gon mm cm m ft in oz lb n kn kg kgf lbf units".split()  # noqa: SIM905
-)
-"""In brackets, also units of other quantities, or of unknown size."""
-
 _LENGTHS = frozenset("m mm cm km in inch ft".split())  # noqa: SIM905
 _SCALED = re.compile(r"[%‰]$|(?:(?<![^\W_])[x×]|[*])\s*10+$")
 """End of a name that marks a share, or a factor that was or is to be applied."""
@@ -139,7 +130,7 @@ class StatedUnit:
         if self.unit is None or is_accepted(channel, self.unit):
             return self
         before = re.split(r"[\W_]+", self.bare.lower())[-1]
-        if len(self.ending) == 1 and before in _LENGTHS | _QUESTIONS:  # of vel_mm_s
+        if len(self.ending) == 1 and before in _LENGTHS | QUESTIONS:  # of vel_mm_s
             return StatedUnit(self.bare, None, f"{before}/{self.ending}")
         if len(self.ending) == 1:
             return StatedUnit(self.bare)
@@ -160,11 +151,13 @@ def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> Stat
     if of_name.unit and (scaled := _SCALED.search(of_name.bare.strip())):  # n x10 [rpm]
         of_name = replace(of_name, unit=None, unknown=f"{scaled[0]} {of_name.unit}")
     of_file = table.units.get(column, "").strip()
-    if not re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
-        return of_name
-    unit = spelled(of_file)
-    known = (unit, None) if is_unit(unit) else (None, of_file)
-    return StatedUnit(of_name.bare, *known)
+    if re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
+        unit = spelled(of_file)
+        known = (unit, None) if is_unit(unit) else (None, of_file)
+        of_name = StatedUnit(of_name.bare, *known)
+    # Of an inverter, Hz is the electrical frequency.
+    is_electrical = (of_name.unit or "").endswith("Hz")
+    return replace(of_name, unit=None, unknown=of_name.unit) if is_electrical else of_name
 
 
 def stamps_and_values(
@@ -200,8 +193,8 @@ def _bracketed(name: str) -> StatedUnit | None:
         text = brackets[1].strip()
         words = re.findall(r"[^\W\d_]+", re.sub("0x[0-9a-f]+", "", text.lower()))
         meant = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
-        meant |= _plain(text) in _OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
-        meant |= len(words) > 1 and _OTHER_UNITS.issuperset(words)  # lbf·ft
+        meant |= plain_letters(text) in OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
+        meant |= len(words) > 1 and OTHER_UNITS.issuperset(words)  # lbf·ft
         meant |= any(len(word) > 1 and is_unit(spelled(word)) for word in words)
         if meant and (words or re.search("[%‰°]", text)):
             return StatedUnit(name[: brackets.start()] + name[brackets.end() :], None, text)
@@ -234,13 +227,8 @@ def _ending(name: str) -> StatedUnit:
     words = {word for word in re.split(r"[\W_\d]+", name.lower()) if word}
     if words & COUNTED and words <= _COUNTERS_WORDS:
         return StatedUnit(name, None, "a count of samples")
-    endings = (_plain(" ".join(last_two)), last_two[-1].lower())  # oz-in, counts
-    return StatedUnit(name, None, next((e for e in endings if e in _QUESTIONS), None))
-
-
-def _plain(text: str) -> str:
-    """Small letters alone: ``p.u.`` and ``oz-in`` as ``pu`` and ``ozin``."""
-    return re.sub(r"[\W_]", "", text.lower())
+    endings = (plain_letters(" ".join(last_two)), last_two[-1].lower())  # oz-in, counts
+    return StatedUnit(name, None, next((e for e in endings if e in QUESTIONS), None))
 
 
 def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
@@ -294,7 +282,7 @@ def _require_agreement(of_file: StatedUnit, channel: str, spec: ColumnSpec) -> N
         agree = math.isclose(*(conversion_factor(channel, each) for each in (unit, of_file.unit)))
         expected = f'unit = "{of_file.unit}", or unit = "1 {unit}" if the file is wrong'
     else:
-        agree = not is_unit(other) and _plain(other) not in _OTHER_UNITS
+        agree = not is_unit(other) and plain_letters(other) not in OTHER_UNITS
         expected = f'unit = "1 {unit}" if the file is wrong; {choice_of_units(channel)}'
     if not agree:
         raise RecordingError(

@@ -57,6 +57,7 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 """Words (in small letters) that files use for each channel."""
 
 _TURNS_BY_MINUTE = "drehzahl"  # words that imply rpm
+_USUAL = {TIME: "s", MOTOR_SPEED: "rpm"}
 
 _REFERENCE = (
     "ref reference set setpoint cmd command target tgt desired des demand dem nominal soll sp goal "
@@ -133,8 +134,9 @@ _STEMS = frozenset(
 )
 """Words that compounds are made of."""
 
+_OF_CHANNELS = frozenset(word for words in _NAMES_OF.values() for word in words.split())
 _NO_JOINT = _STEMS.union(
-    *(words.split() for words in _NAMES_OF.values()),
+    _OF_CHANNELS,
     f"{_SIDES} {_FILTERED} {_ELECTRICAL} {_BESIDE} rms raw".split(),
 )
 """Words that distinguish sides of one joint, or values of one channel."""
@@ -187,6 +189,7 @@ _TURNING, _DRIVEN = (MOTOR_SPEED, MOTOR_POSITION), (MOTOR_CURRENT, MOTOR_TORQUE)
 
 _SIDES_ALIKE = 2.5  # largest ratio of the torques of both directions of ramps
 _STANDSTILL_RPM = 1.0
+_FASTEST_JOINT_RPM = 120.0  # 720 °/s: only small wrists are faster, and hardly any motor as slow
 _TURNS_BACK = 1.5  # path over distance of a motor that moves to and fro
 _FOLLOWS = 0.5  # share of a position's variance that another position of the same joint explains
 _IS_INTEGRAL = 0.95  # the same share for a position and the integral of its speed
@@ -252,6 +255,12 @@ class _Named:
     def is_called(self, words: str) -> bool:
         """Whether its name has any of these words."""
         return not self.words.isdisjoint(words.split())
+
+    def stated_for(self, channel: str) -> StatedUnit:
+        """The stated unit, if this is the channel's column; for a topic of ROS by its channel."""
+        stated = self.stated.of(channel)
+        is_open = channel in _SI and stated.unit is None and stated.unknown is None
+        return replace(stated, unit=_SI[channel]) if is_open and _TOPIC.match(self.name) else stated
 
     @cached_property
     def values(self) -> FloatArray:
@@ -374,7 +383,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
                 "No column looks like time.",
                 where="header",
                 found=", ".join(f'"{name}"' for name in table.columns),
-                expected=f'a column "{TIME}", or another name for it under [columns]',
+                expected=f'a column "{TIME}", or another name for it under [columns]; above even '
+                'samples in a text, the line "Sampling time, 1 ms" will do',
             )
         chosen[TIME] = paired[TIME] = increasing
     both = not ramps and _is_of_two_encoders(paired)
@@ -439,6 +449,7 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     """
     bare = [stated_unit(table, name).bare for name in table.columns]
     groups = [name.rpartition("/")[0] for name in bare]
+    groups = [g if _words(g) - _OF_CHANNELS else "" for g in groups]  # Drehzahl/Speed
     if not any(groups):
         groups = _names_of_joints(table)
     motors = {_without(group, _SIDES) for group in groups if _words(group) & {*_MOTOR.split()}}
@@ -636,8 +647,8 @@ def _of_sides(
 def _of_motor(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> list[GuessedColumn]:
-    """The speed is needed, or else the position. A speed that is slow for a motor is doubted: ROS
-    logs that of the joint. The unit of an axis is asked for."""
+    """The speed is needed, or else the position. What is slow for a motor may be of the joint, as
+    in ROS: it is asked for, or doubted in rpm. The unit of an axis is asked for."""
     main = MOTOR_SPEED if any(c.channel == MOTOR_SPEED for c in columns) else MOTOR_POSITION
     columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
     for channel in {MOTOR_SPEED, MOTOR_POSITION} & chosen.keys():
@@ -658,14 +669,20 @@ def _of_motor(
     else:
         ways = np.abs(np.diff(known)).sum(axis=1)
         rpm = RPM_PER_RAD_PER_S * float(ways[0] / ways[1]) if ways[1] else np.inf
-    if rpm >= _USUAL_SPEEDS_RPM[0]:
+    if rpm >= _FASTEST_JOINT_RPM:
         return columns
-    unit = next(column.unit for column in columns if column.channel == main)
-    asked = (
-        f"{rpm:.3g} rpm is slow for a motor: is it the joint's own, behind the gearbox? Of a gear "
-        f'of 120 the unit here is "120 {unit}"'
-    )
-    return _changed(columns, main, reason=asked, doubted=True)
+    for column in columns:
+        if column.channel not in _TURNING or column.unit == UNKNOWN:
+            continue
+        unit, is_rpm = column.unit, column.unit == "rpm"
+        asked = (
+            f"{rpm:.3g} rpm is slow for a motor: is it the joint's own, behind the gearbox? Of a "
+            f'gear of 120 the unit here is "120 {unit}", of the motor "{unit}"'
+        )
+        columns = _changed(
+            columns, column.channel, unit=unit if is_rpm else UNKNOWN, reason=asked, doubted=is_rpm
+        )
+    return columns
 
 
 def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
@@ -716,7 +733,7 @@ def _channel(column: _Named) -> str | None:
     words = column.words - {"q"} if column.is_called("i") else column.words
     # What stands before a point is a part of the drive: axis0.pos_vel_mapper.pos_rel. A letter
     # beside a word is its unit or its axis: force_N.
-    last = _words(column.stated.bare.rpartition(".")[2]) & words
+    last = _words(re.split(r"\.(?!\d)", column.stated.bare)[-1]) & words
     by_words = (
         [c for c, named in _NAMES_OF.items() if not of.isdisjoint(named.split())]
         for among in (last, words)
@@ -823,30 +840,22 @@ def _stated(
     channel: str, column: _Named, suggested: Mapping[str, tuple[str, str]] | None = None
 ) -> GuessedColumn:
     """The guess with the unit that the file states, else with the one that the numbers suggest."""
-    stated = column.stated.of(channel)
+    stated = column.stated_for(channel)
     if stated.unknown:
         units = choice_of_units(channel)
         asked = f'enter its unit, as the file says "{shortened(stated.unknown)}": {units}'
         return GuessedColumn(channel, column.name, UNKNOWN, asked, True)
     if stated.unit:
-        said = "the name says so" if column.name == channel else "stated in the file"
+        of_file = "the name says so" if column.name == channel else "stated in the file"
+        said = of_file if column.stated.unit else BY_ROS
         return GuessedColumn(channel, column.name, stated.unit, said, True)
     if suggested and channel in suggested:
         return GuessedColumn(channel, column.name, *suggested[channel], False)
-    if (of_name := _unit_of_name(channel, column)) is not None:
-        return GuessedColumn(channel, column.name, *of_name)
+    if channel == TIME or (channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE)):
+        return GuessedColumn(channel, column.name, _USUAL[channel], NO_UNIT, False)
     # A share, a count or a number that was scaled looks like any other.
     asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
     return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
-
-
-def _unit_of_name(channel: str, column: _Named) -> tuple[str, str, bool] | None:
-    """The unit that the column's name implies, the reason, and whether the file says so."""
-    if channel in _SI and _TOPIC.match(column.name):
-        return _SI[channel], BY_ROS, True
-    if channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE):
-        return "rpm", NO_UNIT, False
-    return ("s", NO_UNIT, False) if channel == TIME else None
 
 
 def _readings(channel: str, column: _Named) -> str:
@@ -911,22 +920,17 @@ def _of_position(
     if explained < _IS_INTEGRAL or not pairs:
         asked = "enter its unit, as it is the position's derivative in none: "
         return {MOTOR_SPEED: (UNKNOWN, asked + choice_of_units(MOTOR_SPEED))} if units else {}
-    by_name = {c: _unit_of_name(c, chosen[c]) for c in (MOTOR_SPEED, MOTOR_POSITION)}
-    of_speed = by_name[MOTOR_SPEED]
-    pairs = [pair for pair in pairs if of_speed and pair[0] == of_speed[0]] or pairs
     if len(pairs) > 1:
         agreeing = " or ".join(f"{speed_unit} and {angle}" for speed_unit, angle in pairs)
         readings = _readings(MOTOR_SPEED, chosen[MOTOR_SPEED])
         asked = f"enter its unit: {readings}speed and position agree in {agreeing}"
         return dict.fromkeys((MOTOR_SPEED, MOTOR_POSITION), (UNKNOWN, asked))
-    reason = "speed and position then agree"
-    found = zip(by_name, pairs[0], strict=True)
-    # A name that states the unit is the better reason.
-    return {c: (unit, reason) for c, unit in found if by_name[c] != (unit, BY_ROS, True)}
+    sides, reason = (MOTOR_SPEED, MOTOR_POSITION), "speed and position then agree"
+    return {channel: (unit, reason) for channel, unit in zip(sides, pairs[0], strict=True)}
 
 
 def _possible(channel: str, column: _Named) -> Sequence[str]:
-    stated = column.stated.of(channel)
+    stated = column.stated_for(channel)
     if stated.unknown:
         return ()
     return (stated.unit,) if stated.unit else accepted_units(channel)

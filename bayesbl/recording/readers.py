@@ -257,6 +257,8 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
     data = unpacked(path, data)
     if not format_.signatures and begins_with_frames(data):
         format_ = CAN_LOG
+    elif not format_.signatures and data[:1000].lstrip()[:1] == b"{":
+        format_ = FORMATS[".json"]
     if format_.beside:
         other = _beside(path, format_.beside)
         sha256.update(other)

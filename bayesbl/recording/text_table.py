@@ -26,6 +26,7 @@ EPICS's camonitor. A value holds until the next one of its name.
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -66,6 +67,7 @@ text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
+_DIGIT = re.compile(r"\d")
 _KIND = re.compile(
     r"l?real|u?[dls]?int|(?:float|double|u?int)\d*|[fus](?:8|16|32|64)|[ld]?word|byte|bool",
     re.IGNORECASE,
@@ -138,7 +140,14 @@ def middle_of(text: bytes) -> list[str]:
     return [line for line in part.split("\n")[1:-1] if line.strip()][:_MIDDLE_LINES]
 
 
+_STAMPED = re.compile(r"\s*(?:\[([^\]]*\d:\d\d[^\]]*)\](?=\s)|(\S+) ->\s)\s*")
+"""A stamp that a terminal puts in front of each line: ``[2026-03-14 08:12:33.250] …``."""
+
+
 def _split(line: str, separator: str) -> list[str]:
+    stamp = _STAMPED.match(line)
+    if stamp and is_date(stamped := stamp[1] or stamp[2]):
+        return [stamped, *_split(line[stamp.end() :], separator)]
     if "(" in line or "[" in line or "{" in line:
         inner = "_" if separator == " " else " "
         line = _BRACKETS.sub(lambda held: held[0].replace(separator, inner), line)
@@ -156,17 +165,10 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _unit_of(rows: Sequence[Sequence[str]], column: int) -> str:
-    """The unit that the cells state. RecordingError if several: values differ in scale."""
+    """The unit that the cells state; several (``ms and s``) are none that is known."""
     cells = [row[column] for row in rows if column < len(row)]
     units = {parted(cell)[1] for cell in cells if is_value(cell)}
-    if len(units) > 1:
-        raise RecordingError(
-            "The cells of a column are in different units.",
-            where=f"column {column + 1}",
-            found=" and ".join(sorted(unit or "none" for unit in units)),
-            expected="one unit for the whole column, in its name",
-        )
-    return "".join(units)
+    return " and ".join(sorted(unit or "none" for unit in units)) if units - {""} else ""
 
 
 def layout_of(
@@ -244,10 +246,12 @@ def layout_of(
         names = tuple(numbered(unnamed))
         return Layout(separator, names, mark, stated, begin=begin, step_s=step_s)
     last, names, units = heading
-    units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells, width)
-    for scales in _rows_of_key(SCALES, above_cells, width):  # may have been applied or not
+    units = units or _of_key(_UNITS, above_cells, width)
+    both = zip_longest(stated[: len(names)], units, fillvalue="")
+    units = tuple(of_cells or above for of_cells, above in both)
+    for scales in _rows_of_key(SCALES, above_cells, width):
         both = zip_longest(units, scales[: len(names)], fillvalue="")
-        units = tuple(f"{u} (scale {s})" if _is_scale(s) else u for u, s in both)
+        units = tuple(with_scales(unit, [scale]) for unit, scale in both)
     if heading[2] or not any(labels):
         labels = ()
     pairs = zip(labels, names, strict=False)
@@ -337,13 +341,17 @@ def _of_key(words: str, rows: Iterable[Sequence[str]], width: int) -> tuple[str,
     return next(reversed(_rows_of_key(words, rows, width)), ())
 
 
-def _is_scale(cell: str) -> bool:
-    """Whether a factor or offset changes anything, with either decimal mark."""
-    return is_bare_number(cell) and not {number_in(cell, mark) for mark in ".,"} <= {None, 0.0, 1.0}
+def with_scales(unit: str, cells: Iterable[str]) -> str:
+    """A unit and the factors or offsets that change anything, applied already or not."""
+    for cell in filter(is_bare_number, cells):
+        if not {number_in(cell, mark) for mark in ".,"} <= {None, 0.0, 1.0}:
+            unit = f"{unit} (scale {cell})"
+    return unit
 
 
 def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
     """Seconds between samples stated above them, beside or below a word for it."""
+    rows = [[re.sub("(?i)hz", "rps", cell) for cell in row] for row in rows]
     for row, below in zip(rows, [*rows[1:], []], strict=False):
         for i, cell in enumerate(row):
             match = _STEP.match(cell)
@@ -354,7 +362,7 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
                 number, unit = parted(held.translate(dict.fromkeys(map(ord, "[]()"))))
                 value = number_in(number, decimal_mark([number]))
                 if value and value > 0.0 and match is not None:
-                    channel, usual = (MOTOR_SPEED, "Hz") if match["rate"] else (TIME, "s")
+                    channel, usual = (MOTOR_SPEED, "rps") if match["rate"] else (TIME, "s")
                     unit = spelled(unit or match["unit"] or usual)
                     if is_accepted(channel, unit):
                         size = value * conversion_factor(channel, unit)
@@ -464,7 +472,8 @@ def table_of_text(text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
             places.append(np.array(list(cut), dtype=np.int64))
             columns = zip(*cut.values(), strict=True) if cut else ()
             units = (*layout.units, *[""] * width)
-            series = [_series(*each, layout.mark) for each in zip(columns, units, strict=False)]
+            each = zip(columns, units, strict=False)
+            series = [_series(cells, unit, layout.mark, counts) for cells, unit in each]
         else:
             places.append(np.arange(first, index))
             series = [np.ascontiguousarray(values) for values in read.T]
@@ -580,13 +589,18 @@ def _cut(
     return samples
 
 
-def _series(cells: Sequence[str], unit: str, mark: str) -> AnyArray:
-    """Numbers, (n,), NaN if missing; texts if a cell is none, with numbers as in Python."""
+def _series(cells: Sequence[str], unit: str, mark: str, counts: Counter[str]) -> AnyArray:
+    """Numbers, (n,), NaN if missing; texts if a cell is none, with numbers as in Python.
+
+    A word without a digit among numbers (``Bad``, ``No Data``) is a lost sample, if it is rare.
+    """
     are_dates = is_date(cells[0])
     bare = (c if c.lower() in MISSING else c.removesuffix(unit).rstrip() for c in cells)
     numbers = [None if are_dates else number_in(cell, mark) for cell in bare]
-    if None not in numbers:
-        return np.array(numbers, dtype=float)
+    words = [c for c, n in zip(cells, numbers, strict=True) if n is None and not _DIGIT.search(c)]
+    if numbers.count(None) == len(words) <= MOST_INCOMPLETE * len(cells):
+        counts.update(f'"{shortened(word)}" for a number, a lost sample' for word in words)
+        return np.array([math.nan if n is None else n for n in numbers])
     texts = [
         cell if number is None else "" if number != number else repr(number)
         for cell, number in zip(cells, numbers, strict=True)
@@ -628,29 +642,35 @@ _PAIR = re.compile(
 )
 
 
+_LINE_PROTOCOL = re.compile(
+    r"(?P<name>[^\s=]+(?:,[^\s=]+=\S+)?) (?P<fields>\S+=\S+) (?P<time>\d{10,})"
+)
+"""A line as databases of time series take it: ``drive,host=plc speed=1500.2,current=2.3 177…``."""
+
+
 def in_lines(head: Sequence[str]) -> list[str] | None:
     """A whole text with a line for each channel (name, perhaps unit, samples) as lines of samples.
 
     ``None`` for any other text: the first line of a table does not end with a number.
     """
-    written = [line for line in head if line.strip()]
     for separator in _SEPARATORS[:3]:
-        rows = [_split(line, separator) for line in written]
-        width = max(map(len, rows), default=0)
-        # A line that holds more than half of the cells is a channel that was cut off.
-        cut = [row for row in rows if width // 2 < len(row) < width and is_number(row[-1])]
-        rows = [row for row in rows if len(row) == width]
-        if 1 < len(rows) < width and all(
-            is_number(row[-1]) and not is_value(row[0]) for row in rows
-        ):
-            if cut:
+        cut = [_split(line, separator) for line in head if line.strip()]
+        width = max(map(len, cut), default=0)
+        # A line that holds more than half of the cells is a channel, perhaps one that was cut off.
+        rows = [row for row in cut if len(row) > width // 2]
+        whole = sum(len(row) == width for row in rows)
+        named = all(is_number(row[-1]) and not is_value(row[0]) for row in rows)
+        if not (named and 1 < whole < width):
+            continue
+        for row in rows:
+            if len(row) < width:
                 raise RecordingError(
                     "The channels, a line each, differ in length.",
-                    where=cut[0][0],
-                    found=f"{len(cut[0])} cells, {width} in other lines",
+                    where=row[0],
+                    found=f"{len(row)} cells, {width} in other lines",
                     expected="as many samples in every line",
                 )
-            return [separator.join(cells) for cells in zip(*rows, strict=True)]
+        return [separator.join(cells) for cells in zip(*rows, strict=True)]
     return None
 
 
@@ -684,6 +704,11 @@ def _row(form: re.Pattern[str] | None, line: str) -> dict[str, str]:
     line = line.strip()
     if len(line) > _LONGEST_EVENT:
         return {}
+    if form is None and (protocol := _LINE_PROTOCOL.fullmatch(line)):
+        pairs = (pair.partition("=") for pair in protocol["fields"].split(","))
+        fields = {name: value.removesuffix("i") for name, _, value in pairs}
+        fields = {name: value for name, value in fields.items() if is_bare_number(value)}
+        return {"name": protocol["name"], **fields, "time": protocol["time"]} if fields else {}
     if form is None:
         first = _PAIR.search(line)
         if first is None or _PAIR.sub("", line[first.start() :]):
@@ -697,6 +722,37 @@ def _row(form: re.Pattern[str] | None, line: str) -> dict[str, str]:
     return {"time_s": match["stamp"].strip("()"), **name, "value": match["value"]}
 
 
+_QUALITY = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:quality|status|status_?code)$", re.IGNORECASE)
+_BAD = re.compile(r"(?:bad|uncertain)|0x[4-9a-f]\w{7}$", re.IGNORECASE)
+
+
+def without_bad(table: ArrayTable) -> ArrayTable:
+    """NaN for numbers in rows that OPC's quality or status calls bad or uncertain."""
+    sizes = {values.size for values in table.arrays.values()}
+    bad = np.zeros(max(sizes, default=0), dtype=bool)
+    for name in filter(_QUALITY.search, table.columns if len(sizes) == 1 else ()):
+        words, rows, counts = np.unique(
+            table.arrays[name].astype("U"), return_inverse=True, return_counts=True
+        )
+        are_bytes = words[np.argmax(counts)] in ("192", "192.0")  # of OPC DA; good from 192 on
+        bad |= np.array(
+            [
+                float(word) < 192.0
+                if are_bytes and is_bare_number(word)
+                else bool(_BAD.match(word))
+                for word in words.tolist()
+            ]
+        )[rows]
+    if not bad.any():
+        return table
+    arrays = {
+        name: np.where(bad, np.nan, v) if v.dtype.kind in "iuf" and not is_called_time(name) else v
+        for name, v in table.arrays.items()
+    }
+    told = {"row of bad quality, a lost sample": int(bad.sum())}
+    return replace(table, arrays=arrays, repairs={**table.repairs, **told})
+
+
 def in_columns(table: ArrayTable) -> ArrayTable:
     """Columns by name, from a table with one value on each line (historians, InfluxDB) or one line
     for each joint.
@@ -706,6 +762,7 @@ def in_columns(table: ArrayTable) -> ArrayTable:
         TagName,Timestamp,Value,Quality
         J3.Position,2026-03-14T08:12:33.005Z,1.12222,192
     """
+    table = without_bad(table)
     if table.clocks or len({v.size for v in table.arrays.values()}) != 1:
         return table
     numbers = {
@@ -776,9 +833,9 @@ def _of_events(
     """
     repairs = Counter(table.repairs)
     order = np.argsort(time, kind="stable")
-    order = order[np.any([np.isfinite(values[order]) for values in columns.values()], axis=0)]
+    there = np.any([np.isfinite(values) for values in columns.values()], axis=0)
     of_name = {name: order[names[order] == name] for name in dict.fromkeys(names.tolist())}
-    of_name = {name: own for name, own in of_name.items() if own.size > 1}
+    of_name = {name: own for name, own in of_name.items() if there[own].sum() > 1}
     rows = np.unique(time[np.isin(names, [*of_name])])
     if "" in columns:
         rows = rows[rows >= max((time[own[0]] for own in of_name.values()), default=0.0)]

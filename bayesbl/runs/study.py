@@ -1,10 +1,7 @@
 """Studies: many independent cases in rows, over processes or a cluster, resumed where left.
 
 ``result.nc`` holds all cases, a group per row; ``table.csv`` a line per row. A study file says how
-one independent case of a row is run. It defines three functions::
-
-    def count(row) -> int: ...
-        # How many independent cases the row has.
+one independent case of a row is run. It defines two functions::
 
     def run_case(row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]: ...
         # One case: named numbers. ``seed`` belongs to this case alone. A UserError that leaves
@@ -14,6 +11,9 @@ one independent case of a row is run. It defines three functions::
         # The row's line of the table, from its cases that did not fail (dimension ``case``).
 
 and may define::
+
+    def count(row) -> int: ...
+        # How many independent cases the row has, if it is not what the row says as ``cases``.
 
     class Row(pydantic.BaseModel): ...
         # What a row may say; the functions then get it in place of the plain table.
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 
 
 Table = Mapping[str, Any]  # A row as the configuration states it
-REQUIRED = ("count", "run_case", "summarise")
+REQUIRED = ("run_case", "summarise")
 
 OWN_COLUMNS = {
     "failed": ("1", "1 where the case failed, and has no values"),
@@ -113,12 +113,13 @@ class Study:
     def count(self, table: Table) -> int:
         """Number of cases in a row."""
         with error_of(self.path, f'in count, row "{table["name"]}"'):
-            count = self.module.count(self.row(table))
+            row, own = self.row(table), getattr(self.module, "count", None)
+            count = table.get("cases") if own is None else own(row)
         if not isinstance(count, int) or count < 1:
             raise ConfigError(
                 "A row needs cases.",
                 file=self.path,
-                where=f'count, row "{table["name"]}"',
+                where=f'cases of row "{table["name"]}"',
                 found=repr(count),
                 expected="a whole number, 1 or more",
             )
@@ -156,7 +157,7 @@ class Study:
 
 
 def load_study(path: str | Path) -> Study:
-    """Load a study file. Raises ConfigError if it fails, or lacks one of the three functions."""
+    """Load a study file. Raises ConfigError if it fails, or lacks one of the two functions."""
     path = Path(path)
     # Registered under a name of its own: pydantic and pickle look modules up there.
     name = f"bayesbl_study_{path.stem}"
@@ -165,6 +166,8 @@ def load_study(path: str | Path) -> Study:
         raise ConfigError("This is not a study.", file=path, expected="a Python file, .py")
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
+    if (beside := str(path.absolute().parent)) not in sys.path:
+        sys.path.append(beside)  # for modules that the study imports, as when it runs as a script
     with error_of(path, "while it was loaded"):
         specification.loader.exec_module(module)
     lacking = [f for f in REQUIRED if not callable(getattr(module, f, None))]

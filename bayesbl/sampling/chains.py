@@ -25,6 +25,7 @@ from bayesbl.sampling.convergence import (
     judge,
     rank_r_hat_and_ess,
 )
+from bayesbl.sampling.trajectories import Trajectories
 
 FURTHEST = 30.0
 """Largest distance of a peak from an edge, in sd; the draws then look exponential."""
@@ -299,7 +300,7 @@ class Walk:
 
 
 def walk(
-    ensembles: Ensembles,
+    ensembles: Ensembles | Trajectories,
     settings: SamplerSettings,
     bounds: Callable[[FloatArray], FloatArray],
     sd: FloatArray | float,

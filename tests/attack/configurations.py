@@ -14,7 +14,7 @@ import numpy as np
 
 from attack.damage import BYTES, Damage
 from attack.engine import DONE, OTHER, WITHHELD, WRONG, Ended, Finding, Group, Prepare, Trial
-from attack.workshop import CONFIGURATIONS, put_configuration
+from attack.workshop import CONFIGURATIONS, RESULTS, Originals, put_configuration
 
 KINDS = tuple(CONFIGURATIONS)
 RUN_SHARE = 0.4
@@ -351,3 +351,24 @@ def group() -> Group:
     ]
     order = np.random.default_rng(0).permutation(len(table))
     return Group("configurations", 18, [table[i] for i in order])
+
+
+def written_configuration(originals: Originals, damage: Damage) -> Prepare:
+    """The configuration as it ran, damaged: people edit it, so it need not be what it was."""
+
+    def prepare(place: Path, rng: np.random.Generator) -> Trial:
+        kind = str(rng.choice(RESULTS))
+        file = originals.copy(kind, place) / "config.toml"
+        file.write_bytes(damage(file.read_bytes(), rng))
+        return Trial([("check", str(file.relative_to(place)))], names=["config.toml", "study.py"])
+
+    return prepare
+
+
+def written_files(originals: Originals) -> Group:
+    """The files in TOML that the program writes; nobody reads truth.json back."""
+    return Group(
+        "configurations that it wrote",
+        2,
+        [(name, written_configuration(originals, damage)) for name, damage in BYTES.items()],
+    )

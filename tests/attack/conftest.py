@@ -16,13 +16,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from attack.engine import Child, Finding, Prepare, run_case
 from attack.workshop import Originals
 
-CHEAP = ("fit", "sweep", "study")
-"""Results that are made in a few seconds each."""
-
 
 @pytest.fixture(scope="session")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> Originals:
-    return Originals(tmp_path_factory.mktemp("originals"), CHEAP)
+    return Originals(tmp_path_factory.mktemp("originals"))
 
 
 @pytest.fixture

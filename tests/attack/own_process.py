@@ -1,4 +1,4 @@
-"""What only a process of its own can show: encodings, closed pipes, places that are read-only."""
+"""What only a process of its own can show: memory, and a package that is read-only."""
 
 from __future__ import annotations
 
@@ -6,23 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from attack.engine import (
-    HANG,
-    HARM,
-    OTHER,
-    TRACEBACK,
-    Finding,
-    Group,
-    Skipped,
-    Trial,
-    give_to_nobody,
-    give_up_root,
-)
+from attack.engine import HANG, HARM, OTHER, TRACEBACK, Finding, Trial, give_to_nobody, give_up_root
 from attack.workshop import REPOSITORY, example, plain_csv, put_configuration
 
 FEW_TIMES = 6.0
@@ -59,65 +48,6 @@ def judged(ended: subprocess.CompletedProcess[bytes], *statuses: int) -> Finding
         yield TRACEBACK, told.strip().splitlines()[-1][:300]
     elif ended.returncode not in statuses:
         yield OTHER, f"status {ended.returncode}: {told.strip()[:300]}"
-
-
-def ascii_output(place: Path) -> Findings:
-    """A terminal that knows no Greek: characters are degraded, and the answer is given."""
-    yield from judged(command(place, "run", "fit.toml", env={"PYTHONIOENCODING": "ascii"}), 0, 3)
-    for asked in (
-        ("inspect", "result"),
-        ("effects",),
-        ("cite",),
-        ("--help",),
-        ("check", "fit.toml"),
-    ):
-        yield from judged(command(place, *asked, env={"PYTHONIOENCODING": "ascii"}), 0)
-
-
-def other_encodings(place: Path) -> Findings:
-    for encoding in ("latin-1", "cp1252", "cp437", "utf-16"):
-        yield from judged(command(place, "effects", env={"PYTHONIOENCODING": encoding}), 0)
-
-
-def plain_locale(place: Path) -> Findings:
-    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    (place / "e\u0301.csv").write_text(plain_csv(example()))
-    yield from judged(command(place, "effects", env=plain), 0)
-    # Whether such a locale can say this name depends on Python's: then it is refused in words.
-    told = command(place, "init", "e\u0301.csv", env=plain)
-    yield from judged(told, 0, 2)
-    if told.returncode == 2 and b"not UTF-8" not in told.stderr:
-        yield OTHER, f"refused in other words: {told.stderr.decode(errors='replace')[:200]}"
-
-
-def closed_pipe(place: Path) -> Findings:
-    """``bayesbl effects | head -1``: the reader has gone, which is no mistake of anybody."""
-    for asked in (("effects",), ("cite",), ("check", "fit.toml")):
-        reader, writer = os.pipe()
-        os.close(reader)
-        ended = command(place, *asked, stdout=writer, stderr=subprocess.PIPE, capture_output=False)
-        os.close(writer)
-        yield from judged(ended, 0, 1, 2, 141, -13)
-        if b"Exception ignored" in ended.stderr:
-            yield TRACEBACK, f"{asked[0]}: {ended.stderr.decode().strip()[:200]}"
-
-
-def no_output_at_all(place: Path) -> Findings:
-    """Started without a standard output, as services are: the answer is in the result."""
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    for asked in ("check", "run"):
-        closed = ["sh", "-c", f'exec "$0" -m bayesbl {asked} fit.toml >&- 2>&-', sys.executable]
-        ended = subprocess.run(closed, cwd=place, env=environment, timeout=LONGEST_S)
-        if ended.returncode not in (0, 3):
-            yield OTHER, f"{asked} without a standard output: status {ended.returncode}"
-    if not (place / "result" / "result.nc").exists():
-        yield OTHER, "without a standard output no result is stored"
-
-
-def output_to_full_device(place: Path) -> Findings:
-    with open("/dev/full", "wb") as full:
-        ended = command(place, "effects", stdout=full, stderr=subprocess.PIPE, capture_output=False)
-    yield from judged(ended, 1)
 
 
 def read_only_package(place: Path, *commands: Sequence[str]) -> Findings:
@@ -191,38 +121,6 @@ def peak_bytes(place: Path, config: str) -> int:
     return 1024 * int(ended.stdout.rpartition("PEAK ")[2])
 
 
-def full_disk(place: Path) -> Findings:
-    """A file system of a megabyte, where one may be made."""
-    small = place / "small"
-    small.mkdir()
-    made = ["mount", "-t", "tmpfs", "-o", "size=80k", "tmpfs", str(small)]
-    if os.geteuid() != 0 or subprocess.run(made, capture_output=True).returncode:
-        raise Skipped("no file system can be mounted here to be filled")
-    try:
-        ended = command(place, "run", "fit.toml", "--out", "small/result")
-        yield from judged(ended, 1, 2)
-        if b"small" not in ended.stderr:
-            yield OTHER, f"a full disk is not named: {ended.stderr.decode()[:200]}"
-        left = [path.name for path in small.rglob("*") if path.name.startswith(".")]
-        if left:
-            yield OTHER, f"on a full disk {left} is left behind"
-    finally:
-        subprocess.run(["umount", str(small)], capture_output=True)
-
-
-CASES: Mapping[str, Callable[[Path], Findings]] = {
-    "an output in ASCII": ascii_output,
-    "outputs in other encodings": other_encodings,
-    "a plain locale": plain_locale,
-    "a closed pipe": closed_pipe,
-    "no output at all": no_output_at_all,
-    "an output that is full": output_to_full_device,
-    "a read-only package without a home": read_only_package,
-    "memory of a large CSV": memory_of_a_large_csv,
-    "a full disk": full_disk,
-}
-
-
 def in_own_process(
     work: Callable[[Path], Findings],
 ) -> Callable[[Path, np.random.Generator], Trial]:
@@ -242,6 +140,3 @@ def in_own_process(
         return Trial([], lambda ended: iter(findings))
 
     return prepare
-
-
-GROUP = Group("own process", 1, [(name, in_own_process(work)) for name, work in CASES.items()])

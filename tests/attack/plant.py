@@ -1,16 +1,22 @@
 """A plant whose devices, collector, fleet and broker are killed: each answer is there once.
 
-Every process is a fork of this one, so that a turn costs no import, and what a recording says is
-not fitted but made of its content: a turn is about what is kept. Part of ``kills.py``.
+``python tests/attack/plant.py --count 50 --seed 16``: each turn kills one of them at a random
+moment, gives the same commands again and compares what they end with. Every process is a fork of
+this one, so that a turn costs no import, and what a recording says is not fitted but made of its
+content: a turn is about what is kept.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
@@ -306,3 +312,34 @@ class Plants:
     def close(self) -> None:
         killed(self.listener)
         self.broker.stop()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit status: 1 if any turn failed."""
+    parser = argparse.ArgumentParser(description="Kill the parts of a plant at random moments.")
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=16)
+    parser.add_argument("--only", choices=KINDS)
+    options = parser.parse_args(arguments)
+    rng, failed = np.random.default_rng(options.seed), Counter[str]()
+    kinds = [options.only] if options.only else KINDS
+    with tempfile.TemporaryDirectory(prefix="kills-") as temporary:
+        folder = Path(temporary)
+        plants = Plants(folder)
+        try:
+            for turn in range(options.count):
+                kind = kinds[turn % len(kinds)]
+                after_s, problems = plants.killed(f"turn{turn}", kind, rng)
+                failed[kind] += bool(problems)
+                told = "; ".join(problems) or "well"
+                print(f"{turn}: {kind}, killed after {after_s:.2f} s: {told}", flush=True)
+                if not problems:
+                    shutil.rmtree(folder / f"turn{turn}", ignore_errors=True)
+        finally:
+            plants.close()
+    print(f"{options.count} turns, badly: {dict(failed)}")
+    return int(failed.total() > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -6,9 +6,9 @@ leaves a hidden file, or refuses without naming the file. Case number N is alway
 same seed and code; ``--case N --keep FOLDER`` repeats it and keeps what it left.
 
 What is done to files stands in tables, a line each: ``damage.BYTES`` for any file,
-``recordings.SAME``, ``STRUCTURE`` and ``VALUES``, ``results.CHANGES``, ``unfinished.ACTS``,
+``recordings.SAME``, ``STRUCTURE`` and ``VALUES``,
 ``configurations.EDITS`` and its sisters, ``commands.NAMES``, ``MISSING``, ``OUTPUTS``,
-``COLLISIONS`` and ``STUDY_FILES``, ``own_process.CASES``.
+``COLLISIONS`` and ``STUDY_FILES``.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
 TESTS = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(TESTS), str(TESTS / "support")]  # the writer of bags is there
 
-from attack import commands, configurations, own_process, recordings, results, unfinished  # noqa: E402
+from attack import commands, configurations, recordings  # noqa: E402
 from attack.engine import (  # noqa: E402
     HANG,
     HARM,
@@ -42,7 +42,7 @@ from attack.engine import (  # noqa: E402
     Result,
     run_all,
 )
-from attack.workshop import RESULTS, Originals  # noqa: E402
+from attack.workshop import Originals  # noqa: E402
 
 HEADINGS = {
     TRACEBACK: "tracebacks",
@@ -58,13 +58,10 @@ def all_groups(originals: Originals) -> list[Group]:
     return [
         recordings.HARMLESS,
         recordings.DAMAGED,
-        results.Cases(originals).group(),
-        results.written_files(originals),
-        unfinished.group(originals),
         configurations.group(),
+        configurations.written_files(originals),
         commands.group(),
         commands.files_group(),
-        own_process.GROUP,
     ]
 
 
@@ -112,12 +109,6 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", metavar="GROUP", help="groups whose name holds this text")
     parser.add_argument("--case", type=int, action="append", metavar="N", help="repeat this case")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep what failing cases left")
-    parser.add_argument(
-        "--kinds",
-        default=",".join(RESULTS),
-        help="damage results of these kinds alone; numbers then mean other cases",
-    )
-    parser.add_argument("--again", action="store_true", help="use the originals kept in FOLDER")
     return parser.parse_args(arguments)
 
 
@@ -130,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for path in (folder, Path(temporary)):
             path.chmod(0o755)  # cases that give up root's rights work below it
         begin = time.monotonic()
-        originals = Originals(folder / "originals", options.kinds.split(","), again=options.again)
+        originals = Originals(folder / "originals")
         print(f"Originals made in {time.monotonic() - begin:.0f} s.", flush=True)
         attack = Attack(all_groups(originals), options.seed)
         numbers = options.case or chosen(attack, options.cases, options.only)

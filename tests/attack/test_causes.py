@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from attack import commands, configurations, own_process, recordings, results, unfinished
+from attack import commands, configurations, own_process, recordings
 from attack.engine import HARM, Finding, Prepare, Trial
 from attack.workshop import (
     CONFIGURATIONS,
+    HEAD,
+    JOINT,
     REPOSITORY,
+    SHORT,
     Originals,
     example,
     plain_csv,
@@ -125,46 +128,56 @@ def test_a_wide_header_is_refused_in_no_time(tmp_path: Path) -> None:
 # 7, 8
 
 
-DAMAGED = [
-    "kind missing",
-    'kind "nonsense"',
-    'kind "sweep"',
-    "another attribute not JSON",
-    "a group's attribute not JSON",
-    "a group missing",
-    "a variable missing",
-    "an answer NaN",
-    "an answer negative",
-    "one bit of the gap",
-]
+LATER = (
+    HEAD.format(kind="fit").replace('"result"', '"later"')
+    + JOINT
+    + SHORT.replace("1000", "200")
+    + '[[recordings]]\nfile = "after.csv"\n'
+)
+READERS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    **{
+        " ".join(step): ("fit", step)
+        for step in (
+            ("inspect", "result"),
+            ("inspect", "result", "--json"),
+            ("report", "result"),
+            ("figures", "result"),
+        )
+    },
+    "start_from": ("fit", ("check", "later.toml")),
+    "source": ("sweep", ("check", "later.toml")),
+}
 
 
-@pytest.mark.parametrize("change", DAMAGED)
-def test_a_changed_result_is_refused_or_says_the_same(
-    change: str, originals: Originals, findings: Findings
+@pytest.mark.parametrize("reader", READERS)
+def test_a_changed_result_is_refused_by_whatever_reads_it(
+    reader: str, originals: Originals, findings: Findings
 ) -> None:
-    cases = results.Cases(originals)
-    steps = (results.INSPECT, results.JSON, results.REPORT)
-    assert not findings(cases.changed("fit", results.CHANGES[change], *steps))
+    """That any change is found is a test of the store."""
+    kind, step = READERS[reader]
 
-
-@pytest.mark.parametrize("change", ["a variable missing", "an answer NaN", "one bit of an answer"])
-def test_a_changed_curve_is_refused(change: str, originals: Originals, findings: Findings) -> None:
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
-        import h5py
-
-        with h5py.File(originals.copy("sweep", place) / "result.nc", "r+") as file:
-            curve = file["curve"]
-            if change == "a variable missing":
-                del curve["coefficients"]
-            elif change == "an answer NaN":
-                curve["coefficients"][...] = np.nan
-            else:
-                curve["coefficients"][...] = results.one_bit(curve["coefficients"][...], rng)
-        (place / "later.toml").write_text(results.BY_CURVE)
-        return Trial([results.CHECK_LATER], statuses=(cli.WRONG,), names=["result.nc"])
+        file = originals.copy(kind, place) / "result.nc"
+        content = bytearray(file.read_bytes())
+        content[int(rng.integers(len(content)))] ^= 1
+        file.write_bytes(content)
+        section = "curve" if kind == "sweep" else "estimator.search"
+        (place / "later.toml").write_text(f'{LATER}[{section}]\n{reader} = "result"\n')
+        return Trial([step], statuses=(cli.WRONG,), names=["result.nc"])
 
     assert not findings(prepare)
+
+
+def test_what_lies_beside_a_result_is_not_believed(
+    originals: Originals, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result, told = originals.copy("fit", tmp_path), []
+    for _ in range(2):
+        assert cli.status(["inspect", str(result), "--json"]) == 0
+        told.append(capsys.readouterr().out)
+        (result / "summary.json").write_text('{"delta_rad": 1.0}')
+        (result / "config.toml").write_text("nothing")
+    assert told[0] == told[1]
 
 
 # 9
@@ -205,21 +218,6 @@ def test_check_asks_what_run_asks(name: str, findings: Findings) -> None:
 @pytest.mark.parametrize("name", commands.STUDY_FILES)
 def test_a_study_file_that_fails_is_named(name: str, findings: Findings) -> None:
     assert not findings(commands.study_file(commands.STUDY_FILES[name]))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("kind", "act"),
-    [
-        ("study", "a line of garbage"),
-        ("study", "a line that is foreign"),
-        ("fit", "archives of other arrays"),
-    ],
-)
-def test_finished_work_that_is_not_its_own_is_not_used(
-    kind: str, act: str, originals: Originals, findings: Findings
-) -> None:
-    assert not findings(unfinished.resumed(originals, kind, unfinished.ACTS[act]))
 
 
 # 11

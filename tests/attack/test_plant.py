@@ -8,13 +8,13 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 import pytest
-from mosquitto import Broker, mosquitto_is_installed
+from mosquitto import Broker
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -166,17 +166,6 @@ def test_a_refusal_lasts_only_if_content_alone_decides_it(plant):
 
 
 # Messages.
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    pytest.importorskip("paho.mqtt")
-    if not mosquitto_is_installed():
-        pytest.skip("needs mosquitto: apt-get install mosquitto")
-    made = Broker(tmp_path / "broker")
-    made.start()
-    yield made
-    made.stop()
 
 
 ONE_IMAGE = {"file": "data/J1.csv"}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import chdir
 from functools import cache
 from pathlib import Path
@@ -96,8 +96,8 @@ CONFIGURATIONS: Mapping[str, str] = {
     'pool_by = "gearbox"\ndecide_before = 2027-06-01\n',
     "bench": BENCH,
 }
-RESULTS = ("fit", "compare", "direct", "sweep", "diagnose", "study")
-"""The originals that are results, by the names of their configurations."""
+RESULTS = ("fit", "sweep", "study")
+"""The originals, by the names of their configurations; each is made in a few seconds."""
 
 RIGID = """schema = 1
 kind = "bench"
@@ -191,17 +191,10 @@ def _ramp(play_rad: float) -> str:
 class Originals:
     """Results that cases take copies of, in folders by the names of their configurations."""
 
-    def __init__(
-        self, folder: Path, kinds: Sequence[str] = RESULTS, *, again: bool = False
-    ) -> None:
-        """Make them; ``again`` takes those that an earlier attack with the same code kept."""
+    def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
-        self.kinds = kinds
-        for kind in kinds:
+        for kind in RESULTS:
             place = self.folder / kind
-            if again and (place / "result").is_dir():
-                _run(place, ["inspect", "result"])
-                continue
             shutil.rmtree(place, ignore_errors=True)
             place.mkdir(parents=True)
             put_configuration(place, kind)

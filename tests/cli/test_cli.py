@@ -202,7 +202,9 @@ def rows(speed=lambda i: 2000.0 + i % 7, time_s=lambda i: i / 1000, count=1000) 
         pytest.param(
             rows().replace("motor_speed_rpm", "motor_sped_rpm"), "motor_sped_rpm", id="no column"
         ),
-        pytest.param(rows(lambda i: "fast" if i == 12 else 2000 + i % 3), "line 14", id="text"),
+        pytest.param(
+            rows(lambda i: "2000 or so" if i == 12 else 2000 + i % 3), "line 14", id="text"
+        ),
         pytest.param(rows(lambda i: "nan"), "motor_speed_rpm", id="NaN everywhere"),
         pytest.param(rows(time_s=lambda i: abs(i - 40) / 1000), "time_s", id="time backwards"),
         pytest.param(rows(lambda i: 2000.0, count=8000), "never changes", id="constant speed"),

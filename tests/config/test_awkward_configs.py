@@ -15,7 +15,8 @@ from places import CONFIGS
 from bayesbl import cli
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import SimulateFile
-from bayesbl.config.loading import load_config, load_file
+from bayesbl.config.loading import dump_config, load_config, load_file
+from bayesbl.config.sections import RunConfig
 from bayesbl.errors import UserError
 
 BENCH = (CONFIGS / "bench.toml").read_text()
@@ -112,9 +113,13 @@ LEAVES = st.one_of(
     st.booleans(),
     st.text(max_size=5),
     st.sampled_from(["bench.toml", "a.csv", "ar", "white", "two_mass", "load_coulomb_friction"]),
+    st.sampled_from(["fit", "compare", "study", "~nobody", "a" * 300]),
+    st.dates(),
 )
 KEYS = st.sampled_from(
     [
+        *("schema", "seed", "estimator", "model", "fixed", "ranges", "level", "curve", "source"),
+        *("columns", "motor_speed_rpm", "window_end_s", "interval", "posterior", "study", "rows"),
         *("parameters", "measurement", "effects", "recordings", "sweep", "bench", "name", "file"),
         *("value", "tolerance", "relative_tolerance", "gear_ratio", "speed_noise", "kind"),
         *("gap_rad", "low", "high", "count", "sd_rpm", "coefficients", "encoder_counts", "run"),
@@ -135,12 +140,11 @@ def load_simulation(path: Path) -> SimulateFile:
 LOADERS: dict[str, Callable[[Path], object]] = {
     "bench": load_bench,
     "simulate": load_simulation,
-    "sweep": load_config,
+    **dict.fromkeys(("sweep", "fit", "compare", "study"), load_config),
 }
 
 
-@pytest.mark.long
-@settings(max_examples=250, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(kind=st.sampled_from(sorted(LOADERS)), tables=st.dictionaries(KEYS, VALUES, max_size=5))
 def test_no_value_in_a_file_of_any_kind_ends_in_a_traceback(
     folder: Path, kind: str, tables: dict[str, object]
@@ -152,7 +156,10 @@ def test_no_value_in_a_file_of_any_kind_ends_in_a_traceback(
     path = folder / "fuzz.toml"
     path.write_text(text, encoding="utf-8", errors="replace")
     with suppress(UserError):
-        LOADERS[kind](path)
+        loaded = LOADERS[kind](path)
+        if isinstance(loaded, RunConfig):
+            path.write_text(dump_config(loaded))
+            assert load_config(path) == loaded
 
 
 @settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))

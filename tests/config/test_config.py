@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from datetime import date
 from operator import attrgetter
 from pathlib import Path
 
 import pytest
-import tomli_w
 from fresh_process import loaded_by
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from places import BEFORE, CONFIGS
 from pydantic import ValidationError
 
 from bayesbl.config.kinds import StudyConfig
 from bayesbl.config.loading import OPTIONS, config_from_options, dump_config, load_config
 from bayesbl.config.measurement import CompareConfig, FitConfig, SnapshotConfig
-from bayesbl.errors import ConfigError, UserError
+from bayesbl.errors import ConfigError
 from bayesbl.measurement.measurement import estimator_of
 from bayesbl.recording.channels import ColumnSpec
 
@@ -618,67 +614,3 @@ def test_recordings_with_the_same_file_name_are_numbered(folder: Path) -> None:
 def test_importing_the_configuration_loads_no_numerical_library() -> None:
     numerical = {"numpy", "scipy", "numba", "xarray"}
     assert not loaded_by("import bayesbl.config.loading") & numerical
-
-
-KEYS = st.sampled_from(
-    [
-        *("schema", "kind", "run", "seed", "recordings", "file", "name", "estimator", "model"),
-        *("fixed", "ranges", "level", "curve", "source", "columns", "motor_speed_rpm"),
-        *("window_end_s", "interval", "posterior", "study", "rows"),
-    ]
-)
-VALUES = st.recursive(
-    st.one_of(
-        st.integers(),
-        st.floats(),
-        st.booleans(),
-        st.text(max_size=5),
-        st.sampled_from(["fit", "compare", "study", "before.csv", "~nobody", "a" * 300]),
-        st.dates(),
-    ),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3),
-    max_leaves=8,
-)
-LINES = st.one_of(
-    st.sampled_from(COMPARE.splitlines() + FULL.splitlines()),
-    st.text(max_size=20),
-    KEYS.map(lambda key: f"[{key}]"),
-    st.builds("{} = {}".format, KEYS, st.sampled_from(["1", "-1.5", '"x"', "[[]]", "{a = 1}"])),
-)
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
-@given(lines=st.lists(LINES, max_size=15), start=st.sampled_from(["", COMPARE]))
-def test_no_text_ends_in_a_traceback(folder: Path, lines: list[str], start: str) -> None:
-    path = folder / "fuzz.toml"
-    path.write_text(start + "\n".join(lines), encoding="utf-8", errors="replace")
-    with suppress(UserError):
-        load_config(path)
-
-
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
-@given(
-    tables=st.dictionaries(KEYS, VALUES, max_size=5),
-    kind=st.sampled_from(["fit", "compare", "study"]),
-)
-def test_no_value_anywhere_ends_in_a_traceback(
-    folder: Path, tables: dict[str, object], kind: str
-) -> None:
-    path = folder / "fuzz.toml"
-    try:
-        text = tomli_w.dumps({"schema": 1, **tables, "kind": kind})
-    except (TypeError, ValueError):
-        return
-    path.write_text(text, encoding="utf-8", errors="replace")
-    with suppress(UserError):
-        config = load_config(path)
-        assert load_config(write(folder, dump_config(config), "again.toml")) == config
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
-@given(content=st.binary(max_size=60))
-def test_no_bytes_end_in_a_traceback(folder: Path, content: bytes) -> None:
-    path = folder / "fuzz.toml"
-    path.write_bytes(content)
-    with pytest.raises(UserError):
-        load_config(path)

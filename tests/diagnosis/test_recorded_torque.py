@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -98,6 +99,9 @@ def test_a_torque_half_a_sample_late_is_no_skew_and_leaves_friction_its_size() -
     }
 
 
+CABLE = 0.1
+
+
 def late(torque: FloatArray) -> FloatArray:
     """Behind a low pass of 25 ms, as a drive records it."""
     kept = math.exp(-1.0 / HZ / 0.025)
@@ -110,9 +114,11 @@ BESIDE: dict[str, Torque] = {
     "root": lambda _, v, a: (
         INERTIA * a + friction(v) + 0.1 * np.sqrt(np.abs(v)) * np.tanh(v / 0.02)
     ),
-    "cable": lambda _, v, a: INERTIA * a + friction(v) + 0.1 * np.cumsum(v) / HZ,
+    "cable": lambda _, v, a: INERTIA * a + friction(v) + CABLE * np.cumsum(v) / HZ,
+    "payload": lambda n, v, a: (1.6 if n == "b" else 0.4) * INERTIA * a + friction(v),
 }
-"""What real axes have beside their laws; friction of both recordings is right on average."""
+"""What real axes have beside their laws; friction and load of both recordings are right on average.
+"""
 
 
 @pytest.mark.long
@@ -127,8 +133,15 @@ def test_what_no_axis_lacks_leaves_the_laws_within_their_intervals(beside: str) 
     }
     stated: dict[str, Estimate] = dict(found.bench_parameters)
     stated |= {e.name: next(iter(e.parameters.values())) for e in found.effects}
+    told = " ".join(found.notes)
+    assert ("motor_inertia_kg_m2 differs between the recordings" in told) == (beside == "payload")
+    assert ("motor_coulomb_friction differs" in told) <= (beside == "warm")
     if beside == "cable":
         stated.pop("motor_torque_offset", None)  # where a cable's torque vanishes is open
+    told_nm_per_rad = re.findall(r"does, by (\S+) ± (\S+) N m per rad", told)
+    assert bool(told_nm_per_rad) == (beside == "cable")
+    for value, sd in told_nm_per_rad:
+        assert float(value) == pytest.approx(CABLE, abs=3.0 * float(sd))
     assert {"motor_coulomb_friction", "motor_inertia_kg_m2"} <= stated.keys() <= true.keys()
     assert ("channel_time_skew" in stated) == (beside == "late")
     for name, estimate in stated.items():

@@ -17,7 +17,7 @@ def test_a_flank_at_the_start_that_only_moves_the_load_is_forgotten():
     row = Row(
         name="±5° about hanging, 0.2 s",
         bench=CONFIGS / "bench.toml",
-        pairs=1,
+        cases=1,
         reach_deg=5.0,
         stroke_s=0.2,
         duration_s=10.0,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -50,7 +48,7 @@ def table(tmp_path_factory):
         "curve": str(folder / "result.nc"),
         "gap_rad": 8e-4,
         "changes_rad": [0.0, 3e-4],
-        "pairs": 2,
+        "cases": 2,
         "speed_noise_sd_rpm": 0.5,
         "rotations": 2.2,
         "sampling_hz": 500.0,
@@ -142,19 +140,6 @@ def test_the_direct_route_finds_the_change_and_is_sharper(study, table):
 def test_the_amplitude_route_is_refused_without_a_curve(study, table):
     with pytest.raises(ConfigError, match="needs a curve"):
         study.count({key: value for key, value in table.items() if key != "curve"})
-
-
-def test_every_table_is_drawn_and_rows_without_wear_alone_are_left_out(study):
-    lines = []
-    for file in ("wear_detection.csv", "wear_detection_core.csv"):
-        with open(ROOT / "experiments/results" / file, newline="") as stream:
-            lines.append(list(csv.DictReader(stream)))
-    for table in lines:
-        drawn = study.figure(table, {})
-        titles = [panel.get_title("left")[5:] for panel in drawn.axes]
-        assert sorted(titles) == ["By the amplitude route", "By the direct route"]
-        curves = sum(len(panel.get_legend().get_texts()) for panel in drawn.axes)
-        assert curves == sum(bool(line["smallest_mrad"]) for line in table)
 
 
 def test_the_shipped_study_is_valid_but_for_a_sweep_that_is_not_there_yet():

@@ -53,6 +53,7 @@ def reasons(fit: SimulatedFit, *, withheld: bool = False) -> list[str]:
     return [flaw.code for flaw in found]
 
 
+@pytest.mark.long
 def test_a_period_that_is_not_known_is_the_reason_and_its_statement_the_next_step(
     recording: Recording,
 ) -> None:

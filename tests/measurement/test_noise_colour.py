@@ -12,13 +12,14 @@ from places import CONFIGS
 from scipy.signal import lfilter
 
 from bayesbl.config.bench import load_bench
-from bayesbl.measurement.noise_colour import (
+from bayesbl.measurement.same_joint import (
     FilterChange,
     NoiseSpectrum,
+    change_reason,
     filter_change,
     noise_spectrum,
+    same_joint,
 )
-from bayesbl.measurement.same_joint import change_reason, same_joint
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate

@@ -15,15 +15,19 @@ import bayesbl
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
-from bayesbl.measurement.joint_features import (
+from bayesbl.measurement.measurement import JointCheck
+from bayesbl.measurement.same_joint import (
+    COULD_BE,
+    FILTER,
     INTEGRAL,
+    LINE,
     MEAN_CURRENT,
     PROPORTIONAL,
+    change_reason,
     features,
     harmonic_name,
+    same_joint,
 )
-from bayesbl.measurement.measurement import JointCheck
-from bayesbl.measurement.same_joint import COULD_BE, FILTER, LINE, change_reason, same_joint
 from bayesbl.recording.repetition import folded
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
@@ -294,6 +298,7 @@ def test_a_line_of_the_motor_that_grew_is_no_wear(growth: float, gap_rad: float)
         assert "gear_transmission_error" in check["could_be"]
 
 
+@pytest.mark.long
 def test_the_change_of_a_ringing_that_is_withheld_is_none(tmp_path: Path) -> None:
     """Noise in which no ringing is seen gave a change of its amplitude with a probability."""
     files = []

@@ -152,7 +152,7 @@ def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
     # What a dashboard scales by itself: 0.999 s comes after 998 ms.
     lines = [f"{1e3 * t:.0f} ms,{n:.3f}" if t < 0.3 else f"{t:.3f} s,{n:.3f}" for t, n in PAIRS]
     path.write_text(text(lines))
-    with pytest.raises(RecordingError, match=r"in different units.*ms and s"):
+    with pytest.raises(RecordingError, match=r"not known for this channel.*ms and s"):
         read_recording(path)
 
 
@@ -177,7 +177,7 @@ def test_a_quotation_mark_opens_a_cell_at_its_begin_alone(tmp_path: Path) -> Non
     path = tmp_path / "a.csv"
     path.write_text(text(rows(), 'time_s,twist ["]'))
     assert read_table(path).columns == ("time_s", 'twist ["]')
-    assert guess_columns(read_table(path)).columns[1].unit == "arcsec"
+    assert 'of the motor "arcsec"' in guess_columns(read_table(path)).columns[1].reason
     path.write_text(text(['s,"', *rows()], "time_s,twist"))
     assert read_table(path).columns == ("time_s", "twist")
     path.write_text(text(rows(), 'time_s,"twist\n(filtered)"'))
@@ -507,7 +507,8 @@ def test_a_stated_unit_wins_wherever_it_stands(channel: str, place: str, tmp_pat
         columns[channel] = word if below else place.format(n=word, u=unit)
         units_below = [unit if c == channel and below else "" for c in columns]
         lines = [";".join(units_below)] if below else []
-        values = {"time_s": TIME, "motor_speed_rpm": SPEED} | {channel: 1.0 + TIME}
+        size = 1e3 if channel == "motor_speed_rpm" else 1.0  # a slow one may be the joint's
+        values = {"time_s": TIME, "motor_speed_rpm": SPEED} | {channel: size * (1.0 + TIME)}
         lines += [
             ";".join(map(repr, map(float, row))) for row in zip(*values.values(), strict=True)
         ]
@@ -560,15 +561,15 @@ def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
     assert not position.needed
     file.write_text(text(lines, "time,/joint_states/arm/position,/joint_states/arm/velocity"))
     _, speed_, position = guess_columns(read_table(file)).columns
-    assert (speed_.unit, position.unit) == ("rad/s", "rad")  # ROS logs in SI units
-    assert "slow for a motor" in speed_.reason
-    assert position.sure
-    assert position.reason == "ROS logs in SI units (REP 103)"
+    assert (speed_.is_open, position.is_spare) == (True, True)
+    for column, unit in ((speed_, "rad/s"), (position, "rad")):  # ROS logs in SI units
+        assert "slow for a motor" in column.reason
+        assert f'"120 {unit}", of the motor "{unit}"' in column.reason
     # The position alone: its unit is asked for, and stated it is slow for a motor.
     file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position"))
     assert guess_columns(read_table(file)).columns[1].unit == UNKNOWN
     file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position [rad]"))
-    assert guess_columns(read_table(file)).columns[1].doubted
+    assert "slow for a motor" in guess_columns(read_table(file)).columns[1].reason
 
 
 def test_a_labview_file_is_a_table(tmp_path: Path) -> None:

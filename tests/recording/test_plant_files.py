@@ -337,3 +337,167 @@ def test_a_step_is_stated_beside_other_keys(tmp_path: Path) -> None:
     rows = [f"{n:.6f},{a:.6f}" for n, a in zip(SPEED, CURRENT, strict=True)]
     read = read_recording(written(tmp_path, "\n".join([*head, *rows])))
     assert read.sampling_period_s == pytest.approx(1e-3)
+
+
+# What an inverter, a joint, a terminal and a server of OPC write
+
+
+@pytest.mark.parametrize(
+    ("header", "cell"),
+    [
+        ("t [s];Speed [Hz];Current [A]", "{n}"),
+        ("t [s];Istdrehzahl [Hz];Current [A]", "{n}"),
+        ("t_s;motor_speed_hz;current_a", "{n}"),
+        ("t [s];Motor speed (0.01 Hz);Current [A]", "{n}"),
+        ("t;Speed;Current\ns;Hz;A", "{n}"),
+        ("t;speed;current", "{n} Hz"),
+    ],
+)
+def test_an_inverters_hertz_is_electrical(header: str, cell: str, tmp_path: Path) -> None:
+    path = written(tmp_path, table(header, form=f"{{t:.3f}};{cell};{{a}}"))
+    speed = guessed(path)["motor_speed_rpm"]
+    assert speed.is_open
+    assert '"rev/s/7" (Hz)' in speed.reason
+    columns = {"time_s": ColumnSpec(read_table(path).columns[0], "s"),
+               "motor_speed_rpm": ColumnSpec(speed.name, "rev/s/4")}  # fmt: skip
+    np.testing.assert_allclose(read_recording(path, columns=columns).motor_speed_rpm, 15.0 * SPEED)
+
+
+def test_a_speed_in_rpm_goes_before_one_in_hertz(tmp_path: Path) -> None:
+    path = written(tmp_path, table("t [s],Speed [Hz],Speed [rpm]", form="{t},{a},{n}"))
+    assert guessed(path)["motor_speed_rpm"].name == "Speed [rpm]"
+
+
+@pytest.mark.parametrize(
+    "name", ["JT2 speed", "Gelenk 2 Geschwindigkeit", "dq2", "Eje 2 velocidad", "軸2 速度", "speed"]
+)
+def test_what_no_motor_is_as_slow_as_is_asked_about(name: str, tmp_path: Path) -> None:
+    slow = f"Time [s];{name} [deg/s]"
+    path = written(tmp_path, "\n".join([slow, *lines(lambda i, t, n, a: f"{t};{6.0 * n / 25.0}")]))
+    speed = guessed(path)["motor_speed_rpm"]
+    assert (speed.unit, "slow for a motor" in speed.reason) == (UNKNOWN, True)
+    path = written(tmp_path, path.read_text().replace(name, "Motor speed"))
+    assert guessed(path)["motor_speed_rpm"].unit == "deg/s"
+
+
+def test_a_point_in_a_number_is_no_path(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        table("Time in s;Actual speed in 0.0001 rpm;Active current in 0.1 % I_N",
+              form="{t};{n};{a}"),
+    )  # fmt: skip
+    found = guessed(path)
+    assert found["motor_speed_rpm"].name.startswith("Actual speed")
+    assert found["motor_current_a"].name.startswith("Active current")
+
+
+def test_a_slash_may_part_two_languages(tmp_path: Path) -> None:
+    path = written(tmp_path, table("Zeit/Time [s],Drehzahl/Speed [min-1],Strom/Current [A]"))
+    assert not any(c.is_open or c.doubted for c in guessed(path).values())
+
+
+@pytest.mark.parametrize(("mark", "size"), [("%", 0.12), ("‰", 0.012)])
+def test_a_share_may_stand_in_the_cells(mark: str, size: float, tmp_path: Path) -> None:
+    path = written(
+        tmp_path, table("t_s;speed_rpm;torque;load", form=f"{{t}};{{n}};{{a}} {mark};3%")
+    )
+    torque = guessed(path)["motor_torque_nm"]
+    assert (torque.name, torque.unit) == ("torque", UNKNOWN)
+    columns = {"time_s": ColumnSpec("t_s", "s"),
+               "motor_torque_nm": ColumnSpec("torque", f"{mark} of 12 N m")}  # fmt: skip
+    read = read_recording(path, columns=columns).channels["motor_torque_nm"]
+    np.testing.assert_allclose(read, size * CURRENT, atol=1e-9)
+
+
+def test_only_a_needed_column_is_refused_for_cells_in_several_units(tmp_path: Path) -> None:
+    rows = lines(
+        lambda i, t, n, a: f"{t},{n},{i % 256:02X},{f'{a} A' if a > 1.0 else f'{1e3 * a} mA'}"
+    )
+    path = written(tmp_path, "\n".join(["time_s,motor_speed_rpm,raw,current", *rows]))
+    np.testing.assert_allclose(read_recording(path).motor_speed_rpm, SPEED)
+    with pytest.raises(RecordingError, match=r"line 2.*A'"):
+        read_recording(path, columns={"motor_current_a": ColumnSpec("current", "A")})
+
+
+STAMPED = {
+    "Tera Term": ("[2026-03-14 08:12:33.790] speed_rpm,current_A", "[%Y-%m-%d %H:%M:%S.%f] ", ","),
+    "Tera Term, tabs": ("time\tspeed_rpm\tcurrent_A", "[%Y-%m-%d %H:%M:%S.%f]\t", "\t"),
+    "Tera Term, old": ("[Sat Mar 14 08:12:33.790 2026] speed_rpm current_A",
+                       "[%a %b %d %H:%M:%S.%f %Y] ", " "),
+    "Arduino": ("08:12:33.790 -> speed_rpm,current_A", "%H:%M:%S.%f -> ", ","),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", STAMPED)
+def test_a_terminals_stamp_in_front_is_the_time(kind: str, tmp_path: Path) -> None:
+    header, form, mark = STAMPED[kind]
+    rows = lines(lambda i, t, n, a: f"{STAMPS[i].strftime(form)}{n}{mark}{a}")
+    path = written(tmp_path, "\n".join([header, *rows]), "a.log")
+    found = guessed(path)
+    read = read_recording(path, columns={k: ColumnSpec(c.name, c.unit) for k, c in found.items()})
+    np.testing.assert_allclose(read.time_s, TIME, atol=2e-6)
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED)
+
+
+def test_line_protocol_is_a_table(tmp_path: Path) -> None:
+    form = "drive,host=plc speed_rpm={},current_A={},n={}i,ok=true {}"
+    rows = lines(lambda i, t, n, a: form.format(n, a, i, (1773475953000 + i) * 10**6))
+    path = written(tmp_path, "\n".join(rows), "a.txt")
+    found = guessed(path)
+    assert [found[c].unit for c in ("time_s", "motor_speed_rpm", "motor_current_a")] == [
+        "ns", "rpm", "A",
+    ]  # fmt: skip
+    rows = lines(lambda i, t, n, a: f"speed_rpm value={n} {(1773475953000 + i) * 10**6}\n"
+                 f"current_A value={a} {(1773475953000 + i) * 10**6}")  # fmt: skip
+    path = written(tmp_path, "\n".join(rows), "b.txt")
+    np.testing.assert_allclose(read_table(path).arrays["speed_rpm"], SPEED)
+
+
+def test_records_of_json_may_be_called_a_log(tmp_path: Path) -> None:
+    records = lines(lambda i, t, n, a: json.dumps({"time_s": t, "motor_speed_rpm": n}))
+    path = written(tmp_path, "\n".join(records), "a.log")
+    np.testing.assert_allclose(read_recording(path).motor_speed_rpm, SPEED)
+
+
+@pytest.mark.parametrize(
+    ("good", "poor"),
+    [("Good", "Bad"), ("192", "24"), ("0x00000000", "0x80050000"), ("Good", "Uncertain: last")],
+)
+@pytest.mark.parametrize("is_wide", [True, False])
+def test_a_value_of_bad_quality_is_no_sample(
+    good: str, poor: str, is_wide: bool, tmp_path: Path
+) -> None:
+    lost = range(200, 220)  # the server repeats the last value
+    if is_wide:
+        rows = [f"{STAMPS[i]};{SPEED[i]};{poor if i in lost else good}" for i in range(COUNT)]
+        text = "\n".join(["Timestamp;speed_rpm;speed_quality", *rows])
+    else:
+        text = by_tag(
+            "tag;timestamp;value;quality",
+            lambda i, tag, v: (
+                f"{tag};{STAMPS[i]};{v};" + (poor if i in lost and tag == "speed_rpm" else good)
+            ),
+        )
+    path = written(tmp_path, text)
+    found = guessed(path)
+    read = read_recording(path, columns={k: ColumnSpec(c.name, c.unit) for k, c in found.items()})
+    assert read.excluded is not None
+    np.testing.assert_array_equal(np.flatnonzero(read.excluded), [*lost])
+    assert "20 × row of bad quality" in read.notes[0]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "xlsx"])
+def test_a_word_among_numbers_is_a_lost_sample_and_told(suffix: str, tmp_path: Path) -> None:
+    rows = [[t, "Scan Off" if i in (200, 201) else n] for i, (t, n, _) in ROWS]
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "xlsx":
+        book = openpyxl.Workbook()
+        for row in [["time_s", "motor_speed_rpm"], *rows]:
+            book.active.append([float(v) if isinstance(v, np.floating) else v for v in row])
+        book.save(path)
+    else:
+        path.write_text("\n".join(["time_s,motor_speed_rpm", *(f"{t},{n}" for t, n in rows)]))
+    read = read_recording(path)
+    assert read.excluded is not None
+    assert np.flatnonzero(read.excluded).tolist() == [200, 201]
+    assert '2 × "Scan Off" for a number, a lost sample' in read.notes[0]

@@ -173,10 +173,10 @@ BAD_FILES = {
     ),
     "no channel": (csv_text("time_s,b"), "known name", "header", '"time_s", "b"'),
     "text among numbers": (
-        lines_with(17, "0.0150,fast"),
+        lines_with(17, "0.0150,1995 or so"),
         "There is text",
         'line 17, column "motor_speed_rpm"',
-        "'fast'",
+        "'1995 or so'",
     ),
     "thousands with underscores": (
         lines_with(3, "0.001,2_000"),
@@ -237,7 +237,7 @@ def test_a_bad_file_is_refused_with_place_finding_and_expectation(
 
 
 def test_line_numbers_count_blank_lines(tmp_path: Path) -> None:
-    text = lines_with(9, "0.007,fast").replace("\n", "\n\n", 1)
+    text = lines_with(9, "0.007,2_000").replace("\n", "\n\n", 1)
     with pytest.raises(RecordingError, match="line 10,"):
         read_recording(write(tmp_path, text))
 

@@ -241,8 +241,8 @@ def test_a_module_that_the_study_imports_defines_its_rows_too(folder):
 def test_rows_and_study_files_that_cannot_be_used_are_refused(folder):
     with pytest.raises(ConfigError, match=r'\[\[rows\]\] "a" drws.*Did you mean "draws"'):
         run(configure(folder, {"a": "drws = 3\ndraws = 2"}))
-    (folder / "study.py").write_text(STUDY.replace("def count", "def counts"))
-    with pytest.raises(ConfigError, match="no count"):
+    (folder / "study.py").write_text(STUDY.replace("def summarise", "def summarised"))
+    with pytest.raises(ConfigError, match="no summarise"):
         run(configure(folder))
     (folder / "study.py").write_text("import nowhere\n")
     with pytest.raises(ConfigError, match=r"study.py, line 1: .*No module named 'nowhere'"):

@@ -14,7 +14,6 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from mosquitto import Broker, mosquitto_is_installed
 from test_fleet import configure, start, table
 
 from bayesbl import cli
@@ -166,17 +165,6 @@ def test_a_service_that_is_stopped_ends_well(plant, capfd):
         process.terminate()
         assert process.wait(20) == 0
         assert "Stopped; every recording with a row is safe." in process.stderr.read()
-
-
-@pytest.fixture
-def broker(tmp_path):
-    pytest.importorskip("paho.mqtt")
-    if not mosquitto_is_installed():
-        pytest.skip("needs mosquitto: apt-get install mosquitto")
-    made = Broker(tmp_path / "broker")
-    made.start()
-    yield made
-    made.stop()
 
 
 def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):

@@ -566,11 +566,15 @@ class InverseView(View):
         return Discrepancy("time", self.rows.by_recording(columns))
 
     def _between_recordings(self) -> Iterator[Discrepancy]:
-        """Departures of each recording's friction from its mean over the recordings."""
+        """Departures of each recording's friction and load from their means over the recordings."""
         recordings = len(self.rows.recordings)
-        for name in (n for n in DRIFTING if n in self.laws and recordings > 1):
-            signal = self._signal(name, {self.laws[name].amplitude: 1.0})
-            apart = np.eye(recordings) - 1.0 / recordings
+        if recordings < 2:
+            return
+        friction = (name for name in DRIFTING if name in self.laws)
+        signals = {n: self._signal(n, {self.laws[n].amplitude: 1.0}) for n in friction}
+        signals |= {name: self._parameter(name) for name in self.unknown}
+        apart = np.eye(recordings) - 1.0 / recordings
+        for name, signal in signals.items():
             columns = self.rows.by_recording(signal[:, None]) @ apart
             yield Discrepancy(f"{name}_between_recordings", columns, of=name)
 
@@ -814,6 +818,27 @@ class InverseView(View):
         return scanned is None or grid[0] < inference.values(label)[scanned].value < grid[-1]
 
     silent = (SKEW,)
+
+    def remarks(self, inference: Inference) -> Iterator[str]:
+        """Notes on gravity that the bench lacks, and on a cable or spring."""
+        if "gravity" in inference.posterior.named:
+            ((name, size),) = inference.values("gravity").items()
+            yield (
+                "The rest follows the load's angle as gravity does, although the bench has "
+                f"{name} = 0: {size.value:.3g} N m at the load were fitted, with their "
+                "direction. A balancer that the bench lacks may look the same. Give gravity in "
+                "the bench file, if it is that."
+            )
+        places = (k for k, term in enumerate(inference.terms) if term.hypothesis == SPRING)
+        for k in places:
+            draws = inference.always(k)[:, 0]
+            stiffness, sd = float(draws.mean()), float(draws.std())
+            if abs(stiffness) > SURE_PARAMETER * sd:
+                yield (
+                    "A torque grows with the load's angle as that of a cable, a hose or a spring "
+                    f"does, by {stiffness:.3g} ± {sd:.1g} N m per rad at the load. It is fitted "
+                    "beside what is named."
+                )
 
     def rivals(
         self, errors: Sequence[ParameterError], estimates: Mapping[str, Estimate]

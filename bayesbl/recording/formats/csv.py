@@ -22,7 +22,14 @@ from itertools import islice
 import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
-from bayesbl.recording.array_table import AnyArray, ArrayTable, is_number, number_in, numbered
+from bayesbl.recording.array_table import (
+    SCALES,
+    AnyArray,
+    ArrayTable,
+    is_number,
+    number_in,
+    numbered,
+)
 from bayesbl.recording.channels import TIME
 from bayesbl.recording.input_bytes import require_memory, two_of
 from bayesbl.recording.text_table import (
@@ -35,6 +42,7 @@ from bayesbl.recording.text_table import (
     lines_of,
     middle_of,
     table_of_text,
+    with_scales,
 )
 
 _BYTE_ORDER_MARKS = (
@@ -118,9 +126,6 @@ def _encoding(data: bytes) -> str:
 
 
 _SEPARATORS = "\t;,"
-_SCALES = {"Offset": 0.0, "ScaleFactor": 1.0, "Unit Offset": 0.0, "Unit ScaleFactor": 1.0}
-"""Neutral scales. The file does not say whether the export applied others."""
-
 _SCOPE_BEGIN = re.compile(rf"Name[{_SEPARATORS}]")
 _SCOPE_LINE = re.compile(
     rf"^(?:Starttime of export|Data-Type|SampleTime(?:\[ms\])?|SymbolName)[{_SEPARATORS}]", re.M
@@ -172,15 +177,12 @@ def _padded_lines(lines: Sequence[str], separator: str, width: int) -> Iterator[
 
 
 def _scope_unit(known: Mapping[str, Sequence[str]], column: int) -> str:
-    """``rad/s`` from ``rad/s (Velocity)``; empty if there is no unit, or a scale is set."""
-    for key, neutral in _SCALES.items():
-        cells = known.get(key, ())
-        text = cells[column].replace(",", ".") if column < len(cells) else ""
-        if text and text != f"{neutral:g}":
-            return ""
-    cells = known.get("Unit", ())
-    unit = cells[column] if column < len(cells) else ""
-    return "" if unit.startswith("(") else unit.partition(" (")[0]
+    """``rad/s`` from ``rad/s (Velocity)``, with the scales that may have been applied or not."""
+    cells = {key: row[column] for key, row in known.items() if column < len(row)}
+    unit = cells.get("Unit", "").partition("(")[0].strip()
+    return with_scales(
+        unit, [text for key, text in cells.items() if re.search(SCALES, key.lower())]
+    )
 
 
 _DIADEM_CHANNEL = b"#BEGINCHANNELHEADER"

@@ -12,7 +12,7 @@ import numpy as np
 from bayesbl.recording.array_table import ArrayTable, Group, table_of_groups
 from bayesbl.recording.channels import TIME
 
-_UNITS = ("unit_string", "NI_UnitDescription")
+_CLOCK = ("wf_start_time", "wf_start_offset", "wf_increment")
 
 
 def read(data: bytes) -> ArrayTable:
@@ -35,32 +35,24 @@ def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
     channels = {str(channel.name): channel for channel in group.channels()}
     columns = {name: np.asarray(channel[:]) for name, channel in channels.items()}
     clocks = {
-        name: (
-            0.0
-            if first is None
-            else (channel.properties["wf_start_time"] - first) / np.timedelta64(1, "s"),
-            str(channel.properties.get("wf_start_time", "")),
-            float(channel.properties.get("wf_start_offset", 0.0)),
-            float(channel.properties["wf_increment"]),
-            columns[name].size,
-        )
+        name: (*(channel.properties.get(key) for key in _CLOCK), columns[name].size)
         for name, channel in channels.items()
         if "wf_increment" in channel.properties
     }
     kinds: list[Any] = list(dict.fromkeys(clocks.values()))
     if len(kinds) == 1:
         clocks = dict.fromkeys(columns, kinds[0])
-    units = {
-        name: str(channel.properties[key])
-        for name, channel in channels.items()
-        for key in _UNITS
-        if key in channel.properties
-    }
-    along = {n: str(c.properties.get("wf_xunit_string", "")) for n, c in channels.items()}
     for clock in [*kinds, None]:
         held = {name: columns[name] for name in columns if clocks.get(name) == clock}
-        if held:
-            time = None if clock is None else clock[0] + clock[2] + clock[3] * np.arange(clock[4])
-            stated = {name: units.get(name, "") for name in held}
-            stated[TIME] = next((along[name] for name in held if name in along), "")
-            yield Group(str(group.name), held, time, stated)
+        if not held:
+            continue
+        time, stated = None, {}
+        for name in held:
+            about = channels[name].properties
+            stated[name] = str(about.get("NI_UnitDescription", about.get("unit_string", "")))
+            stated.setdefault(TIME, str(about.get("wf_xunit_string", "")))
+        if clock is not None:
+            start, offset, step, size = clock
+            late = 0.0 if first is None else (start - first) / np.timedelta64(1, "s")
+            time = late + float(offset or 0.0) + float(step) * np.arange(size)
+        yield Group(str(group.name), held, time, stated)
