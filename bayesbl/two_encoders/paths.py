@@ -243,14 +243,16 @@ def scaled_paths(
 def _speed(raw: FloatArray, stamps: FloatArray, step: float) -> FloatArray:
     """Means over a time T of which counts and jerk make an equal error: step/√6T and jerk T²/24.
 
-    A load leaves its flank where the motor begins to slow down, and by an error of that speed it
-    goes astray. The jerk of a short mean is that of the counts: T grows until it is the motor's.
+    A load leaves its flank where the motor slows down, and by an error of that speed it goes
+    astray: the jerk is root mean square, weighted by the squared acceleration. That of a short mean
+    is of the counts: T grows until it is the motor's.
     """
     over_s = 0.0
     while True:
         speed = moving_mean(raw, stamps, over_s)
-        jerk = np.gradient(np.gradient(speed, stamps), stamps)
-        longer_s = (24.0 / np.sqrt(6.0) * step / max(float(np.std(jerk)), 1e-300)) ** (1.0 / 3.0)
+        slows = np.gradient(speed, stamps)
+        jerk = np.linalg.norm(slows * np.gradient(slows, stamps)) / np.linalg.norm(slows)
+        longer_s = (24.0 / np.sqrt(6.0) * step / max(float(jerk), 1e-300)) ** (1.0 / 3.0)
         if not over_s < longer_s < 0.1 * float(np.ptp(stamps)):
             return speed
         over_s = max(longer_s, 1.1 * over_s)

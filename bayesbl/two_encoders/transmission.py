@@ -109,7 +109,7 @@ WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 makes, and h over half of what the encoders differ by: to begin with."""
 
 VARIANTS = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
-"""Weights, or frictions, over that of a course that was placed."""
+"""Weights, or frictions, over that of a course that was placed: four times more or less."""
 
 TRIED, MOVED = 512, 4
 """Points of this space that are weighed, and the best of them that are moved."""
@@ -1211,9 +1211,9 @@ def _refined(
 
 def _of_courses(masses: FloatArray, course: Sequence[int]) -> FloatArray:
     """Log probability of each cell's course, shape (cells − 1,)."""
-    course = np.array(course[:-1])
-    wholes = np.array([logsumexp(masses[course == k]) for k in range(course.max() + 1)])
-    return np.asarray(wholes[course])
+    of = np.array(course[:-1])
+    wholes = np.array([logsumexp(masses[of == k]) for k in range(of.max() + 1)])
+    return np.asarray(wholes[of])
 
 
 def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> FloatArray:
@@ -1357,11 +1357,11 @@ def _drawn(
     plays = joint.uniform(size=count) < probability
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    shown = [c.course for c in by_noise]
+    tried = [c.course for c in by_noise]
     # A variant is of the course that was placed.
-    course = [c.course if c.course in shown else best.course for c in cells]
+    course = [c.course if c.course in tried else best.course for c in cells]
     for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
-        known = dict(zip(shown[:-1], _of_courses(masses, shown), strict=True))
+        known = dict(zip(tried[:-1], _of_courses(masses, tried), strict=True))
         if not model.design.one_speed:
             wide += [known[k] for k in course[:-1]] - _of_courses(wide, course)
         weights = np.exp(wide - logsumexp(wide))
