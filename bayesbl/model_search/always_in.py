@@ -802,6 +802,8 @@ def _with_next_freed(
 ) -> list[SimulatedFit]:
     """Free one more of the far terms: the best fit and its rivals; empty if no fit is better.
 
+    A size that is ``FAR`` from zero is worth ``FAR``² of χ², or the linear term was wrong.
+
     Linear lags are much alike. So if a lag promises most, or the fit is far off, all lags are
     fitted, and also controllers with usual periods. If the bench states a sampled controller, its
     dead time comes first.
@@ -816,7 +818,7 @@ def _with_next_freed(
         if rivals and rivals[0].chi_square < fit.chi_square:
             return rivals
     freed = (_freed(fit, *term) for term in far_terms if not term[0].is_lag)
-    better = (f for f in freed if f is not None and f.chi_square < fit.chi_square)
+    better = (f for f in freed if f is not None and f.chi_square < fit.chi_square - FAR**2)
     return list(itertools.islice(better, 1))
 
 
