@@ -211,7 +211,8 @@ def scaled_paths(
     fine = np.append((time[:-1, None] + np.diff(time)[:, None] * parts).ravel(), time[-1])
     step = abs(slope) * _least_step(channels.motor_rad)
     raw = path(fine, 1)
-    fine_speed = _speed(raw, fine, step)
+    over_s = min(COUNTS * step / max(float(np.std(raw)), 1e-300), SMOOTH_S)
+    fine_speed = moving_mean(raw, fine, over_s)
     x, speed = path(time), fine_speed[::every]
     acceleration = np.gradient(moving_mean(raw, fine, 3.0 * SMOOTH_S), fine)[::every]
     if torque is not None:
@@ -238,24 +239,6 @@ def scaled_paths(
         step,
         np.abs(x - np.interp(time, stamps, slope * motor)),
     )
-
-
-def _speed(raw: FloatArray, stamps: FloatArray, step: float) -> FloatArray:
-    """Means over a time T of which counts and jerk make an equal error: step/√6T and jerk T²/24.
-
-    A load leaves its flank where the motor slows down, and by an error of that speed it goes
-    astray: the jerk is root mean square, weighted by the squared acceleration. That of a short mean
-    is of the counts: T grows until it is the motor's.
-    """
-    over_s = 0.0
-    while True:
-        speed = moving_mean(raw, stamps, over_s)
-        slows = np.gradient(speed, stamps)
-        jerk = np.linalg.norm(slows * np.gradient(slows, stamps)) / np.linalg.norm(slows)
-        longer_s = (24.0 / np.sqrt(6.0) * step / max(float(jerk), 1e-300)) ** (1.0 / 3.0)
-        if not over_s < longer_s < 0.1 * float(np.ptp(stamps)):
-            return speed
-        over_s = max(longer_s, 1.1 * over_s)
 
 
 def _least_step(angle: FloatArray) -> float:

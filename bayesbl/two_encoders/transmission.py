@@ -108,9 +108,6 @@ WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
 
-VARIANTS = (0.25, 0.35, 0.5, 0.7, 1.4, 2.0, 2.8, 4.0)
-"""Weights, or frictions, over that of a course that was placed: four times more or less."""
-
 TRIED, MOVED = 512, 4
 """Points of this space that are weighed, and the best of them that are moved."""
 
@@ -594,8 +591,7 @@ class Model:
     def final(self, best: Cell, misfit_rad: float) -> Final:
         """What the cells near the best one have."""
         half, lag = best.half_rad, best.lag
-        within = TOUCHES * half - self.paths.motor_step_rad
-        side = np.where(np.abs(lag) < within, 0.0, np.sign(lag))
+        side = np.where(np.abs(lag) < TOUCHES * half, 0.0, np.sign(lag))
         near = np.convolve(np.diff(side) != 0.0, np.ones(4))[1:-1] + (side == 0.0) > 0.0
         passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
         # A load that rests there has the same count at each turn at the same place.
@@ -718,7 +714,7 @@ def on_flank(lag: FloatArray) -> NDArray[np.bool_]:
 def _lowest(
     cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int
 ) -> FloatArray:
-    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": np.inf, "fatol": 0.05}
+    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 3e-3, "fatol": 0.05}
     return np.asarray(minimize(cost, simplex[0], method="Nelder-Mead", options=options).x)
 
 
@@ -1011,40 +1007,15 @@ def _answered(
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
     noises = [model.again(noise), model.again(free)]
     sharp = _refined(model, range(len(model.courses)), best, noises, None)
-    whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), [c.course for c in sharp])
+    whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
     # Passages at one speed are alike: their number does not tell which course the load takes.
     least = -np.inf if model.design.one_speed else whole.max() - UNLIKELY
     likely = sorted({sharp[i].course for i in np.flatnonzero(whole >= least)})
-    if best.course in likely:
-        likely += _variants(model, best, noises[1], final)
     model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
     evidence = logsumexp(_log_masses(lists[1], np.zeros(len(lists[1])), model))
     return _drawn(model, best, lists, free, generator, of_joint), float(evidence)
-
-
-def _variants(model: Model, best: Cell, noise: Noise, final: Final) -> list[int]:
-    """Courses beside one that was placed, with another weight, or another friction if it has none.
-
-    The noise by which it was placed counts each passage, though a load flies alike in all.
-    """
-    place, first = model.place(best), len(model.courses)
-    if place is None:
-        return []
-    how = model.courses[best.course]
-    for factor in VARIANTS:
-        model.courses.append(replace(how, drag=how.drag * factor, weight=how.weight * factor))
-        if how.weight:
-
-            def cost(point: FloatArray, weight: complex = how.weight * factor) -> float:
-                model.courses[-1] = replace(how, drag=float(np.exp(point[1])), weight=weight)
-                half = float(np.exp(point[0]))
-                return -model.cell(len(model.courses) - 1, half, noise, final).log_evidence
-
-            start = np.array([place[0], place[1] + np.log(factor)])
-            cost(_lowest(cost, np.vstack([start, start + np.diag([0.2, 0.4])]), 60))
-    return list(range(first, len(model.courses)))
 
 
 def _mixed(
@@ -1170,16 +1141,18 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     design = model.design
     plain = design.columns(np.zeros(design.load_rad.size))[:, : design.plain]
     held = design.load_rad - plain @ np.linalg.lstsq(plain, design.load_rad, rcond=None)[0]
-    residuals = model.residual(model.cell(0, 0.0, noise)), held
-    sizes = [0.5 * float(np.ptp(np.quantile(each, (0.05, 0.95)))) for each in residuals]
-    low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
-    low[0], high[0] = low[0] + np.log(min(sizes)), high[0] + np.log(max(sizes))
-    tried = []
-    for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
-        half, rubbed, weight = low + np.array(shares) * (high - low)
-        pull = np.exp(weight + 2j * np.pi * turn)
-        tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
-    return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
+    fits = [(noise, best)]
+    for rest in (model.residual(model.cell(0, 0.0, noise)), held):
+        low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
+        about = np.log(0.5 * float(np.ptp(np.quantile(rest, (0.05, 0.95)))))
+        low[0], high[0] = low[0] + about, high[0] + about
+        tried = []
+        for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
+            half, rubbed, weight = low + np.array(shares) * (high - low)
+            pull = np.exp(weight + 2j * np.pi * turn)
+            tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
+        fits.append(_placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED))
+    return max(fits, key=lambda fit: fit[1].log_evidence)
 
 
 def _refined(
@@ -1198,8 +1171,7 @@ def _refined(
             cells.append(max(here, key=lambda cell: cell.log_evidence))
         cells.sort(key=lambda cell: (cell.course, cell.half_rad))
         masses = _log_masses(cells, np.zeros(len(cells)), model)
-        course = [cell.course for cell in cells]
-        whole = _of_courses(masses, course) if final else logsumexp(masses)
+        whole = _of_courses(masses, cells) if final else logsumexp(masses)
         wanted = [
             (cells[i].course, float(half))
             for i in np.flatnonzero(masses - whole > np.log(0.04))
@@ -1209,11 +1181,11 @@ def _refined(
     return cells
 
 
-def _of_courses(masses: FloatArray, course: Sequence[int]) -> FloatArray:
+def _of_courses(masses: FloatArray, cells: Sequence[Cell]) -> FloatArray:
     """Log probability of each cell's course, shape (cells − 1,)."""
-    of = np.array(course[:-1])
-    wholes = np.array([logsumexp(masses[of == k]) for k in range(of.max() + 1)])
-    return np.asarray(wholes[of])
+    course = np.array([c.course for c in cells[:-1]])
+    wholes = np.array([logsumexp(masses[course == k]) for k in range(course.max() + 1)])
+    return np.asarray(wholes[course])
 
 
 def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> FloatArray:
@@ -1357,13 +1329,11 @@ def _drawn(
     plays = joint.uniform(size=count) < probability
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    tried = [c.course for c in by_noise]
-    # A variant is of the course that was placed.
-    course = [c.course if c.course in tried else best.course for c in cells]
     for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
-        known = dict(zip(tried[:-1], _of_courses(masses, tried), strict=True))
+        courses = (c.course for c in by_noise[:-1])
+        known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
         if not model.design.one_speed:
-            wide += [known[k] for k in course[:-1]] - _of_courses(wide, course)
+            wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
         weights = np.exp(wide - logsumexp(wide))
         interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
     share = generator.uniform(size=count)

@@ -274,24 +274,6 @@ def test_a_load_over_its_balance_hides_no_play_in_ratio_and_transmission_error()
     assert found.probability_of_play > 0.95
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_coarse_encoders_do_not_bend_the_play_of_a_load_over_its_balance(seed):
-    """The counts of the motor bend its speed where the load leaves it, and so the weight."""
-    generator, half = np.random.default_rng(seed), 0.03
-    time = np.arange(0.0, 40.0, 1e-3)
-    path = 1.2 * np.sin(2.0 * np.pi * time / 2.4)
-    load = path - load_lag(path, np.gradient(path, time), time, half, 5.0, 0.0, 30j)
-    load += 0.012 * np.sin(load + 0.4) + 0.005 * np.sin(2.0 * load + 1.0)
-    load += 0.0035 * np.sin(4.0 * load + 2.0)
-    count = 2.0 * np.pi / 4096
-    motor, read = (
-        count * np.floor(each[::10] / count + 0.3 * generator.standard_normal(4000))
-        for each in (path, load)
-    )
-    found = fitted(Channels(time[::10], motor, read), 1.0)
-    assert np.median(found.draws["delta_rad"]) == pytest.approx(half, rel=0.1)
-
-
 @pytest.mark.parametrize("most", [2.0, 0.6], ids=["turns", "rests"])
 @pytest.mark.parametrize(("wound", "is_play"), [(1.0, False), (0.5, True), (0.1, True)])
 def test_the_torque_on_the_way_tells_wind_up_from_play(wound, is_play, most):
