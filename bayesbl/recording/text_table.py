@@ -26,7 +26,6 @@ EPICS's camonitor. A value holds until the next one of its name.
 from __future__ import annotations
 
 import csv
-import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -67,7 +66,6 @@ text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
-_DIGIT = re.compile(r"\d")
 _KIND = re.compile(
     r"l?real|u?[dls]?int|(?:float|double|u?int)\d*|[fus](?:8|16|32|64)|[ld]?word|byte|bool",
     re.IGNORECASE,
@@ -473,7 +471,7 @@ def table_of_text(text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
             columns = zip(*cut.values(), strict=True) if cut else ()
             units = (*layout.units, *[""] * width)
             each = zip(columns, units, strict=False)
-            series = [_series(cells, unit, layout.mark, counts) for cells, unit in each]
+            series = [_series(cells, unit, layout.mark) for cells, unit in each]
         else:
             places.append(np.arange(first, index))
             series = [np.ascontiguousarray(values) for values in read.T]
@@ -491,7 +489,8 @@ def table_of_text(text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
     arrays: dict[str, AnyArray] = {}
     for name, part in zip(layout.names, parts, strict=True):
         is_text = any(values.dtype.kind != "f" for values in part)
-        arrays[name] = np.concatenate([v.astype("S") for v in part] if is_text else part)
+        joined = np.concatenate([v.astype("S") for v in part] if is_text else part)
+        arrays[name] = _without_words(joined, counts) if is_text else joined
         part.clear()
     stated = {n: u for n, u in zip(layout.names, layout.units, strict=False) if u}
     repairs = {kind: count for kind, count in counts.items() if count > 0}
@@ -589,23 +588,35 @@ def _cut(
     return samples
 
 
-def _series(cells: Sequence[str], unit: str, mark: str, counts: Counter[str]) -> AnyArray:
-    """Numbers, (n,), NaN if missing; texts if a cell is none, with numbers as in Python.
-
-    A word without a digit among numbers (``Bad``, ``No Data``) is a lost sample, if it is rare.
-    """
+def _series(cells: Sequence[str], unit: str, mark: str) -> AnyArray:
+    """Numbers, (n,), NaN if missing; texts if a cell is none, with numbers as in Python."""
     are_dates = is_date(cells[0])
     bare = (c if c.lower() in MISSING else c.removesuffix(unit).rstrip() for c in cells)
     numbers = [None if are_dates else number_in(cell, mark) for cell in bare]
-    words = [c for c, n in zip(cells, numbers, strict=True) if n is None and not _DIGIT.search(c)]
-    if numbers.count(None) == len(words) <= MOST_INCOMPLETE * len(cells):
-        counts.update(f'"{shortened(word)}" for a number, a lost sample' for word in words)
-        return np.array([math.nan if n is None else n for n in numbers])
+    if None not in numbers:
+        return np.array(numbers, dtype=float)
     texts = [
         cell if number is None else "" if number != number else repr(number)
         for cell, number in zip(cells, numbers, strict=True)
     ]
     return np.array([text.encode()[:LONGEST_TEXT] for text in texts])
+
+
+def _without_words(texts: AnyArray, counts: Counter[str]) -> AnyArray:
+    """Numbers, (n,), if all but a few texts are: words (``Bad``, ``No Data``) are lost samples."""
+    letters = texts.view(np.uint8).reshape(texts.size, -1)
+    no_digit = ~np.any((letters >= ord("0")) & (letters <= ord("9")), axis=1)
+    lost = no_digit & (texts != b"") & (texts != b"nan")
+    if not 0 < lost.sum() <= MOST_INCOMPLETE * texts.size:
+        return texts
+    try:
+        numbers: FloatArray = np.where(no_digit, b"nan", texts).astype(float)
+    except ValueError:
+        return texts
+    for word, count in zip(*np.unique(texts[lost], return_counts=True), strict=True):
+        shown = shortened(word.decode(errors="replace"))
+        counts[f'"{shown}" for a number, a lost sample'] += int(count)
+    return numbers
 
 
 _DATE = r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:[.,]\d+)?"

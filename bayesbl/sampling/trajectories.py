@@ -23,6 +23,8 @@ ACCEPTED = 0.8
 WARM_UP = 40
 """Trajectories that choose the step."""
 GAIN = 0.3
+MOST_PER_TRAJECTORY = 100
+"""Steps: a walker that needs more is stuck, and its ensemble says so."""
 MOST_REFLECTIONS = 100
 """In one step; a trajectory in a corner that needs more is rejected."""
 
@@ -58,7 +60,8 @@ class Trajectories:
         self._log_density, self._gradient = target(self._points)
         self._step = FIRST_STEP
         for _ in range(WARM_UP):
-            self._step *= math.exp(GAIN * (float(self._move().mean()) - ACCEPTED))
+            change = math.exp(GAIN * (float(self._move().mean()) - ACCEPTED))
+            self._step = max(change * self._step, LENGTH / MOST_PER_TRAJECTORY)
         self._kept: list[FloatArray] = []
         self._accepted = np.zeros(len(self._points))
 

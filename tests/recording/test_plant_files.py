@@ -13,6 +13,7 @@ import openpyxl
 import pytest
 
 from bayesbl.errors import RecordingError
+from bayesbl.recording import text_table
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.guessing import UNKNOWN, GuessedColumn, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
@@ -507,8 +508,12 @@ def test_cells_in_several_units_are_refused_as_such(tmp_path: Path) -> None:
         read_recording(path, columns={"motor_speed_rpm": ColumnSpec("speed", "rpm")})
 
 
-@pytest.mark.parametrize("suffix", ["csv", "xlsx"])
-def test_a_word_among_numbers_is_a_lost_sample_and_told(suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("suffix", "block"), [("csv", 1 << 20), ("csv", 70), ("xlsx", 1 << 20)])
+def test_a_word_among_numbers_is_a_lost_sample_and_told(
+    suffix: str, block: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """However many words are in one block of the text: what counts is their share of the column."""
+    monkeypatch.setattr(text_table, "_BLOCK_BYTES", block)
     rows = [[t, "Scan Off" if i in (200, 201) else n] for i, (t, n, _) in ROWS]
     path = tmp_path / f"a.{suffix}"
     if suffix == "xlsx":

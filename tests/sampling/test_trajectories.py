@@ -69,6 +69,23 @@ def test_draws_in_a_corner_are_those_of_the_truncated_distribution() -> None:
     assert np.all(np.abs(found.std(axis=0) - expected.std(axis=0)) < error)
 
 
+def test_walkers_that_cannot_move_end_soon() -> None:
+    """With a density that is nowhere finite, the step shrinks to its least, not towards zero."""
+    calls = 0
+
+    def target(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        nonlocal calls
+        calls += 1
+        return np.full(len(points), np.nan), np.zeros_like(points)
+
+    box = np.full(2, -np.inf), np.full(2, np.inf)
+    made = Trajectories(target, np.zeros((1, 2, 2)), np.eye(2), box, np.random.SeedSequence(1))
+    made.run(10)
+    assert calls < 6000
+    assert np.all(made.chains == 0.0)
+    assert np.all(made.acceptance == 0.0)
+
+
 @pytest.mark.parametrize("most", [1000, 20_000])
 def test_more_steps_are_advised_only_where_a_setting_allows_them(most: int) -> None:
     draws = np.random.default_rng(1).standard_normal((2, 500))
