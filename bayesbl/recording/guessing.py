@@ -50,8 +50,8 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
         MOTOR_SPEED: "speed velocity vel velo omega w rpm erpm drehzahl n dq qd qvel",
         MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q qpos aipos "
         "twist torsion deflection displacement messuhr",
-        MOTOR_CURRENT: "current cur i iq strom amps macur",
-        MOTOR_TORQUE: "torque tau trq moment drehmoment effort force kraft",
+        MOTOR_CURRENT: "current cur i iq strom amps macur courant corriente corrente ström",
+        MOTOR_TORQUE: "torque tau trq moment drehmoment effort force kraft couple coppia",
     }
 )
 """Words (in small letters) that files use for each channel."""
@@ -127,7 +127,7 @@ _STEMS = frozenset(
     word
     for words in (
         *_NAMES_OF.values(),
-        f"{_REFERENCE} {_LOAD} {_MOTOR} {_OF_WINDING} {_NOT_DRIVING} {_MEASURED} value wert",
+        f"{_REFERENCE} {_LOAD} {_MOTOR} {_OF_WINDING} {_NOT_DRIVING} {_OF_DRIVE} {_MEASURED} wert",
     )
     for word in words.split()
     if len(word) > 2
@@ -142,29 +142,9 @@ _NO_JOINT = _STEMS.union(
 """Words that distinguish sides of one joint, or values of one channel."""
 
 NO_UNIT = "no unit found: check it"  # reason for a unit that nothing in the file supports
-BY_ROS = "ROS logs in SI units (REP 103)"  # reason for the unit of a column named by a topic's path
 _SI = {MOTOR_SPEED: "rad/s", MOTOR_POSITION: "rad", LOAD_POSITION: "rad", MOTOR_TORQUE: "N m"}
 _TOPIC = re.compile(r"/\w+/|field\.")  # start of column names by PlotJuggler and ``rostopic``
-AS_SPEED = "as the speed: check it"  # of a reference without a unit; it nearly always is so
-
-NO_NAME = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
-"""Question if no column has the name of a motor channel."""
-
-COUNTS = 'it counts the samples: enter what lies between two of them, as "4 ms"'
-"""Question about a time without such a name that counts in steps of one."""
-
-NO_CLOCK = "no name says that it is the time; enter its unit if it is"
-"""Question about a column that increases; it may be a position."""
-
 _WITH_RATIO = 'enter the gear ratio with its unit, as "120 deg/s" or "120 deg" at a gear of 120'
-BEHIND = (
-    f"by its name it is behind the gearbox: {_WITH_RATIO}; the unit alone if it is the motor's own"
-)
-"""Question about the speed or position of an axis."""
-
-OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
-"""Question about a ramp's torque measured at the other side of the gear."""
-
 UNKNOWN = "?"  # placeholder for an unknown unit or name; the configuration does not run with it
 _USUAL_RATES_HZ = (10.0, 5e4)
 _THESE_YEARS = (631152000.0, 4102444800.0)  # 1990 to 2100 in seconds since 1970
@@ -346,7 +326,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     is no such joint, or if there are several and none was chosen.
     """
     named = _of_joint(table, joint)
-    chosen = _by_name(named)
+    chosen = {channel: columns[0] for channel, columns in _candidates(named).items()}
     tied = {table.clocks.get(column.name) for c, column in chosen.items() if c != TIME} - {None}
     if len(tied) > 1:
         of_joint = [column.name for column in named if _channel(column) is not None]
@@ -356,7 +336,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         first = next(c for c in (MOTOR_SPEED, MOTOR_POSITION, *chosen) if c in chosen)
         clock_of_first = table.clocks.get(chosen[first].name)
         named = [c for c in named if table.clocks.get(c.name) in (None, clock_of_first)]
-        chosen, tied = _by_name(named), {clock_of_first} - {None}
+        chosen = {channel: columns[0] for channel, columns in _candidates(named).items()}
+        tied = {clock_of_first} - {None}
     if len(tied) == 1:
         (clock,) = tied
         chosen[TIME] = next(column for column in named if column.name == clock)
@@ -409,10 +390,11 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     if both:
         guesses = _of_sides(guesses, chosen)
     elif len(motors) == 1 and any(c.is_called(_LOAD) for c in ramps.values()):
-        guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
+        asked = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
+        guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=asked, sure=True)
     elif not ramps:
         guesses = _of_motor(guesses, chosen, held)
-    columns = tuple(_with_rivals(_with_unknown_words(guesses, named), named))
+    columns = _doubted(guesses, named)
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -428,7 +410,8 @@ def _no_motor(named: Sequence[_Named]) -> str:
     kinds = f"{_NAMES_OF[MOTOR_SPEED]} {_NAMES_OF[MOTOR_POSITION]}"
     behind = (c.name for c in named if c.is_called(_LOAD) and c.is_called(kinds))
     name = next(behind, None)
-    return NO_NAME if name is None else f'{NO_NAME}; or "{name}", behind the gearbox: {_WITH_RATIO}'
+    asked = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
+    return asked if name is None else f'{asked}; or "{name}", behind the gearbox: {_WITH_RATIO}'
 
 
 def _of_joined(guess: Guess, joined: ArrayTable, table: ArrayTable) -> Guess:
@@ -647,41 +630,42 @@ def _of_sides(
 def _of_motor(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> list[GuessedColumn]:
-    """The speed is needed, or else the position. What is slow for a motor may be of the joint, as
-    in ROS: it is asked for, or doubted in rpm. The unit of an axis is asked for."""
+    """The speed is needed, or else the position. That of an axis is asked for. So is what is slow
+    for a motor (doubted in rpm), which may be of the joint, as in ROS; and a torque beside it."""
     main = MOTOR_SPEED if any(c.channel == MOTOR_SPEED for c in columns) else MOTOR_POSITION
-    columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
-    for channel in {MOTOR_SPEED, MOTOR_POSITION} & chosen.keys():
-        if chosen[channel].is_of_axis:
-            columns = _changed(columns, channel, unit=UNKNOWN, reason=BEHIND, sure=True)
+    behind = f"by its name it is behind the gearbox: {_WITH_RATIO}; the unit alone if the motor's"
+    asked = {c: behind for c in _TURNING if c in chosen and chosen[c].is_of_axis}
     sized = {
         column.channel: conversion_factor(column.channel, column.unit) * values[column.channel]
         for column in columns
-        if column.unit != UNKNOWN
+        if column.unit != UNKNOWN and column.channel not in asked
     }
     needed = (main,) if main == MOTOR_SPEED else (main, TIME)
-    if not sized.keys() >= {*needed} or chosen[main].is_called(_MOTOR):
-        return columns
-    known = np.array([sized[channel] for channel in needed])
-    known = known[:, np.isfinite(known).all(axis=0)]
-    if main == MOTOR_SPEED:
-        rpm = float(np.abs(known).mean())
-    else:
-        ways = np.abs(np.diff(known)).sum(axis=1)
-        rpm = RPM_PER_RAD_PER_S * float(ways[0] / ways[1]) if ways[1] else np.inf
-    if rpm >= _FASTEST_JOINT_RPM:
-        return columns
-    for column in columns:
-        if column.channel not in _TURNING or column.unit == UNKNOWN:
-            continue
-        unit, is_rpm = column.unit, column.unit == "rpm"
-        asked = (
-            f"{rpm:.3g} rpm is slow for a motor: is it the joint's own, behind the gearbox? Of a "
-            f'gear of 120 the unit here is "120 {unit}", of the motor "{unit}"'
+    rpm = np.inf
+    if sized.keys() >= {*needed} and not chosen[main].is_called(_MOTOR):
+        known = np.array([sized[channel] for channel in needed])
+        known = known[:, np.isfinite(known).all(axis=0)]
+        if main == MOTOR_SPEED:
+            rpm = float(np.abs(known).mean())
+        elif (ways := np.abs(np.diff(known)).sum(axis=1))[1]:
+            rpm = RPM_PER_RAD_PER_S * float(ways[0] / ways[1])
+    units = {column.channel: column.unit for column in columns if column.channel in sized}
+    for channel in _TURNING if rpm < _FASTEST_JOINT_RPM else ():
+        if channel in units:
+            asked[channel] = (
+                f"{rpm:.3g} rpm is slow for a motor: is it the joint's own, behind the gearbox? Of "
+                f'a gear of 120 the unit here is "120 {units[channel]}", of the motor '
+                f'"{units[channel]}"'
+            )
+    if asked and MOTOR_TORQUE in units and not chosen[MOTOR_TORQUE].is_called(_MOTOR):
+        asked[MOTOR_TORQUE] = (
+            'enter its unit at the motor: "0.01 N m" for N m behind a gear of 100, or "N m"'
         )
-        columns = _changed(
-            columns, column.channel, unit=unit if is_rpm else UNKNOWN, reason=asked, doubted=is_rpm
-        )
+    columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
+    for channel, reason in asked.items():
+        is_rpm = units.get(channel) == "rpm"
+        unit = "rpm" if is_rpm else UNKNOWN
+        columns = _changed(columns, channel, unit=unit, reason=reason, sure=True, doubted=is_rpm)
     return columns
 
 
@@ -706,6 +690,7 @@ def _split(text: str) -> list[str]:
 def _words(text: str) -> frozenset[str]:
     """Words in small letters, without final numbers; compounds are split."""
     text = re.sub(r"\w+\s*=", " ", text)  # of a label, joint="left", the key is none
+    text = re.sub(r"\|(\w+)\|", r"abs \1", text)
     words = (re.sub(r"\d+$", "", part.lower()) or part for part in _split(text))
     return frozenset(part for word in words for part in _parts_of(word))
 
@@ -761,17 +746,11 @@ def _channel(column: _Named) -> str | None:
     return kind
 
 
-def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
-    """The likeliest column of each channel: named exactly, else the motor's, else the first.
+def _candidates(named: Sequence[_Named]) -> dict[str, list[_Named]]:
+    """All columns that may be a channel, the likeliest first: named exactly, else the motor's.
 
     Filtered columns come last, as do single letters (``i``, ``n``), which may count samples.
     """
-    candidates = _candidates(named)
-    return {channel: columns[0] for channel, columns in candidates.items()}
-
-
-def _candidates(named: Sequence[_Named]) -> dict[str, list[_Named]]:
-    """All columns that may be a channel, the likeliest first."""
     candidates: dict[str, list[_Named]] = {}
     for column in sorted(named, key=_rank):
         channel = _channel(column)
@@ -798,42 +777,34 @@ def _rank(column: _Named) -> tuple[bool, ...]:
     )
 
 
-def _with_unknown_words(
+def _doubted(
     columns: Sequence[GuessedColumn], named: Sequence[_Named]
-) -> list[GuessedColumn]:
-    """A question for a current or torque whose name has a word more, as ``PSU current`` has.
+) -> tuple[GuessedColumn, ...]:
+    """A question for a channel of which no name says that another column is less likely, and for a
+    current or torque whose name has a word more, as ``PSU current`` has.
 
     Words that the speed or the position shares are the joint's name.
     """
     words = {c.name: _words(c.stated.bare.rpartition(".")[2].rpartition("/")[2]) for c in named}
     of_joint = {w for c in columns if c.channel in _TURNING for w in words.get(c.name, ())}
-    doubted = [*columns]
-    for column in columns:
-        own = words.get(column.name, frozenset())
-        known = (
-            (_NO_JOINT - {"rms"}) | of_joint | {*_OF_DRIVE.split()}
-        )  # rms may have lost its sign
-        unknown = {word for word in own - known if word.isalpha() and len(word) > 2}
-        if column.channel not in _DRIVEN or own.isdisjoint(_NAMES_OF[column.channel].split()):
-            continue
-        if unknown and column.name != column.channel:
-            asked = f'"{min(unknown)}" in its name may mean another; {column.reason}'
-            doubted = _changed(doubted, column.channel, reason=asked, doubted=True)
-    return doubted
-
-
-def _with_rivals(columns: Sequence[GuessedColumn], named: Sequence[_Named]) -> list[GuessedColumn]:
-    """A question for a channel of which no name says that another column is less likely."""
+    known = (_NO_JOINT - {"rms"}) | of_joint | {*_OF_DRIVE.split()}  # rms may have lost its sign
     candidates, taken = _candidates(named), {column.name for column in columns}
-    doubted = [*columns]
+    doubted = []
     for column in columns:
-        own = [c for c in candidates.get(column.channel, ()) if c.name == column.name]
-        others = [c for c in candidates.get(column.channel, ()) if c.name not in taken]
-        alike = [c.name for c in others if own and _rank(c) == _rank(own[0])]
+        ranked = candidates.get(column.channel, ())
+        own = [_rank(c) for c in ranked if c.name == column.name]
+        alike = [c.name for c in ranked if c.name not in taken and _rank(c) in own]
+        unknown = {
+            w for w in words.get(column.name, frozenset()) - known if w.isalpha() and len(w) > 2
+        }
+        asked = []
         if alike and column.channel in _SWITCHED:
-            asked = f'no name says why it should not be "{alike[0]}"; {column.reason}'
-            doubted = _changed(doubted, column.channel, reason=asked, doubted=True)
-    return doubted
+            asked.append(f'no name says why it should not be "{alike[0]}"')
+        if unknown and column.channel in _DRIVEN and column.name != column.channel:
+            asked.append(f'"{min(unknown)}" in its name may mean another')
+        reason = "; ".join([*asked, column.reason])
+        doubted.append(replace(column, reason=reason, doubted=column.doubted or bool(asked)))
+    return tuple(doubted)
 
 
 def _stated(
@@ -847,7 +818,7 @@ def _stated(
         return GuessedColumn(channel, column.name, UNKNOWN, asked, True)
     if stated.unit:
         of_file = "the name says so" if column.name == channel else "stated in the file"
-        said = of_file if column.stated.unit else BY_ROS
+        said = of_file if column.stated.unit else "ROS logs in SI units (REP 103)"
         return GuessedColumn(channel, column.name, stated.unit, said, True)
     if suggested and channel in suggested:
         return GuessedColumn(channel, column.name, *suggested[channel], False)
@@ -885,7 +856,9 @@ def _units(
         seconds = conversion_factor(TIME, unit) * values[TIME]
         units |= _of_position(chosen, unit, seconds, values[MOTOR_SPEED])
     speed = _stated(MOTOR_SPEED, chosen[MOTOR_SPEED], units).unit
-    return units if speed == UNKNOWN else units | {REFERENCE_SPEED: (speed, AS_SPEED)}
+    return (
+        units if speed == UNKNOWN else units | {REFERENCE_SPEED: (speed, "as the speed: check it")}
+    )
 
 
 def _of_position(
@@ -949,7 +922,7 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
         return UNKNOWN, f"write its dates with marks: 2026-03-14T08:12:33, not {there[0]:.0f}"
     of_name = _channel(column) == TIME
     if np.all(steps == 1.0) and not of_name:
-        return UNKNOWN, COUNTS
+        return UNKNOWN, 'it counts the samples: enter what lies between two of them, as "4 ms"'
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     usual: dict[str, float] = {}
     for unit in ("s", "ms", "us", "ns", *_STARTS):
@@ -965,7 +938,8 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
             usual[unit] = rate
     readings = [f"{rate:.4g} Hz in {unit}" for unit, rate in usual.items()]
     if len(usual) > 1 or (usual and not of_name):
-        asked = "enter its unit" if of_name else NO_CLOCK
+        asked = "no name says that it is the time; enter its unit if it is"
+        asked = "enter its unit" if of_name else asked
         return UNKNOWN, f"{asked}: a sampling rate of {' or '.join(readings)}"
     if not usual and 0.0 < step < 1.0 / _USUAL_RATES_HZ[1]:
         units = choice_of_units(TIME)

@@ -36,6 +36,7 @@ from bayesbl.recording.formats import CAN_LOG, FORMATS, Format, begins_with_fram
 from bayesbl.recording.input_bytes import input_or_refusal, of_two, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
+    MOST_LOST,
     MOST_SPARED,
     at_shared_times,
     bridge,
@@ -112,7 +113,14 @@ def _recording(
         stamps, values, table = stamps[::-1].copy(), values[::-1].copy(), table.reversed()
     table = table.without_values()
     rows = np.flatnonzero(np.isfinite(stamps))
-    _check_length(table, time_column, rows.size)
+    untimed = np.isnan(stamps) & np.isfinite(values).any(axis=1)
+    if untimed.mean() > MOST_LOST:
+        raise RecordingError(
+            "Rows have values but no time.",
+            where=table.place(int(np.argmax(untimed)), time_column.name),
+            found=f"{untimed.sum()} of {untimed.size} rows",
+            expected="a time in every row",
+        )
     values = held(values, repairs)
     _check_finite(table, others, values)
     stamped = (stamps, values) if rows.size == len(values) else (stamps[rows], values[rows])
@@ -241,18 +249,9 @@ def _seconds(
     return seconds
 
 
-def _read_bytes(path: Path) -> bytes:
-    data = input_or_refusal(path, UnavailableError, "an existing recording")
-    if not data[:1000].strip() and not data.strip():
-        raise RecordingError(
-            "The file is empty.", found=f"{len(data)} bytes", expected="a recording"
-        )
-    return data
-
-
 def _parsed(path: Path) -> tuple[ArrayTable, str]:
     """The table in a file, and the SHA-256 of the file."""
-    data = _read_bytes(path)
+    data = input_or_refusal(path, UnavailableError, "an existing recording")
     format_ = _format_of(path)
     sha256 = hashlib.sha256(data)
     data = unpacked(path, data)
@@ -295,7 +294,7 @@ def _beside(path: Path, places: Sequence[str]) -> bytes:
                 expected=f"one of them, called {places[0].format(stem=stem_of(path))}",
             )
         if found:
-            return _read_bytes(Path(found[0]))
+            return input_or_refusal(Path(found[0]), UnavailableError, "a file that can be read")
     return b""
 
 

@@ -348,8 +348,10 @@ def _in_order(stamps: FloatArray, values: FloatArray, repairs: Counter[str]) -> 
 def _spread(time: FloatArray, factor: float, repairs: Counter[str], *, even: bool) -> FloatArray:
     """Spread the samples of a coarse clock along the line through all, or evenly within ticks."""
     steps = np.diff(time)
+    if np.any(steps < 0.0) or not np.any(steps == 0.0):
+        return time
     is_coarse = np.mean(steps == 0.0) >= SHARED_STAMPS
-    if np.any(steps < 0.0) or not np.any(steps == 0.0) or (even and not is_coarse):
+    if even and not is_coarse:
         return time
     starts = np.concatenate([[0], np.flatnonzero(steps > 0.0) + 1])
     if starts.size < 3:

@@ -315,7 +315,6 @@ def _header_of(
             names = ["" if names.count(name) > 1 else name for name in names]
         titles: Iterator[str] = accumulate(before, lambda last, title: title or last)
         names = [f"{title} {name}".strip() for title, name in zip(titles, names, strict=False)]
-    names = [name or f"column {i}" for i, name in enumerate(names, 1)]
     return named[-1], tuple(numbered(names)), tuple(units[: len(names)])
 
 
@@ -812,23 +811,8 @@ def in_columns(table: ArrayTable) -> ArrayTable:
             if not values and words.size > 1 and turns:
                 columns = {f"/{n}": v for n, v in numbers.items() if n not in (clock, name)}
             if columns:
-                called = "time_s" if clock in dates else clock
-                return _beside_dates(_of_events(table, called, time, key, columns), dates, time)
+                return _of_events(table, clock, time, key, columns, dates)
     return table
-
-
-def _beside_dates(
-    events: ArrayTable, dates: Mapping[str, FloatArray], time: FloatArray
-) -> ArrayTable:
-    """The events with dates that are too coarse for a clock: they may show its unit."""
-    clock = next(iter(events.arrays))
-    if clock == "time_s" or not dates:
-        return events
-    name, seconds = next(iter(dates.items()))
-    order = np.argsort(time, kind="stable")
-    rows = order[np.searchsorted(time[order], events.arrays[clock])]
-    stamps = np.datetime64(0, "ns") + (1e9 * seconds[rows]).astype("m8[ns]")
-    return replace(events, arrays={name: stamps, **events.arrays})
 
 
 def _of_events(
@@ -837,11 +821,12 @@ def _of_events(
     time: FloatArray,
     names: AnyArray,
     columns: Mapping[str, FloatArray],
+    dates: Mapping[str, FloatArray],
 ) -> ArrayTable:
     """Columns over all stamps from the first at which every name has a value; shapes (n,).
 
     A value is held until the next one of its name. Lines of several values (``NAME/velocity``) are
-    samples, of which nothing is held.
+    samples, of which nothing is held. Dates that are too coarse for a clock may show its unit.
     """
     repairs = Counter(table.repairs)
     order = np.argsort(time, kind="stable")
@@ -851,7 +836,11 @@ def _of_events(
     rows = np.unique(time[np.isin(names, [*of_name])])
     if "" in columns:
         rows = rows[rows >= max((time[own[0]] for own in of_name.values()), default=0.0)]
-    arrays: dict[str, AnyArray] = {clock: rows}
+    arrays: dict[str, AnyArray] = {}
+    for name, seconds in list(dates.items())[: clock not in dates]:
+        at = order[np.searchsorted(time[order], rows)]
+        arrays[name] = np.datetime64(0, "ns") + (1e9 * seconds[at]).astype("m8[ns]")
+    arrays[TIME if clock in dates else clock] = rows
     for name, own in of_name.items():
         last = own[np.searchsorted(time[own], rows, "right") - 1]
         late = time[last] != rows

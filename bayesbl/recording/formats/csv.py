@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
-from bayesbl.errors import RecordingError, shortened
+from bayesbl.errors import RecordingError
 from bayesbl.recording.array_table import (
     SCALES,
     AnyArray,
@@ -74,7 +74,7 @@ def read(data: bytes) -> ArrayTable:
             raise RecordingError("This is not a CSV file.", found=actual, expected=EXPECTED)
     text, control = _in_utf8(data)
     head = list(islice(lines_of(text), _HEAD_LINES))
-    if _is_scope_export("\n".join(head)):
+    if _SCOPE.match("\n".join(head)[:100_000]):
         require_memory(TIMES * len(data), "cells of text")
         return _read_scope_export(list(lines_of(text)))
     channels = in_lines(head) if len(head) < _HEAD_LINES else None
@@ -125,64 +125,41 @@ def _encoding(data: bytes) -> str:
     return "latin-1"  # of which any byte is a character
 
 
-_SEPARATORS = "\t;,"
-_SCOPE_BEGIN = re.compile(rf"Name[{_SEPARATORS}]")
-_SCOPE_LINE = re.compile(
-    rf"^(?:Starttime of export|Data-Type|SampleTime(?:\[ms\])?|SymbolName)[{_SEPARATORS}]", re.M
+_SCOPE = re.compile(
+    r"Name[\t;,](?s:.*?)"
+    r"^(?:Starttime of export|Data-Type|SampleTime(?:\[ms\])?|SymbolName)[\t;,]",
+    re.MULTILINE,
 )
 _LONGEST_HEADER = 500  # lines in which the first sample is sought; comments may take several
 _FILETIME = 1e15  # A larger time is a Windows date in units of 100 ns, not a count of ms
 
 
-def _is_scope_export(text: str) -> bool:
-    """Whether a text begins like an export of TwinCAT Scope."""
-    return bool(_SCOPE_BEGIN.match(text)) and bool(_SCOPE_LINE.search(text[:100_000]))
-
-
 def _read_scope_export(lines: Sequence[str]) -> ArrayTable:
-    """All channels; units only where no scale makes them ambiguous.
-
-    Raises RecordingError if there are no channels with times, or text among the times.
-    """
-
+    """All channels; units only where no scale makes them ambiguous. RecordingError if there are no
+    samples."""
     separator = lines[0][4]
     head = [[cell.strip() for cell in line.split(separator)] for line in lines[:_LONGEST_HEADER]]
     above = next((i for i, cells in enumerate(head) if is_number(cells[0])), len(head))
     known = {cells[0]: cells for cells in head[:above]}  # the later "Name" is the channels'
-    starts = [i for i, cell in enumerate(known["Name"]) if cell == "Name"]
     width = len(known["Name"])
-    if width < 2 or not any(b - a > 1 for a, b in zip(starts, [*starts[1:], width], strict=True)):
-        raise RecordingError(
-            "This export of TwinCAT Scope has no channels.",
-            where=f"line {above}",
-            found=shortened(", ".join(known["Name"])),
-            expected="a line of channels' names with a column of times before each group",
-        )
-    body = [*[""] * above, *_padded_lines(lines[above:], separator, width)]
-    first = number_in(body[above].partition(separator)[0], ".") if len(body) > above else None
-    time = "100 ns" if first is not None and first >= _FILETIME else "ms"
-    names = numbered([TIME if i in starts else name for i, name in enumerate(known["Name"])])
-    units = [time if i in starts else _scope_unit(known, i) for i in range(width)]
-    layout = Layout(separator, tuple(names), units=tuple(units))
-    return table_of_text("\n".join(body).encode(), layout)
-
-
-def _padded_lines(lines: Sequence[str], separator: str, width: int) -> Iterator[str]:
-    """Lines of samples with a decimal point and one cell for each column."""
-    for line in lines:
-        if line.strip("\r\n ") == "EOF":
+    body = [""] * above
+    for line in lines[above:]:
+        if line.strip() == "EOF":
             break
         cells = (line if separator == "," else line.replace(",", ".")).split(separator)
-        yield separator.join([*cells[:width], *[""] * (width - len(cells))])
-
-
-def _scope_unit(known: Mapping[str, Sequence[str]], column: int) -> str:
-    """``rad/s`` from ``rad/s (Velocity)``, with the scales that may have been applied or not."""
-    cells = {key: row[column] for key, row in known.items() if column < len(row)}
-    unit = cells.get("Unit", "").partition("(")[0].strip()
-    return with_scales(
-        unit, [text for key, text in cells.items() if re.search(SCALES, key.lower())]
-    )
+        body.append(separator.join([*cells[:width], *[""] * (width - len(cells))]))
+    first = number_in(body[above].partition(separator)[0], ".") if len(body) > above else None
+    time = "100 ns" if first is not None and first >= _FILETIME else "ms"
+    names, units = [], []
+    for i, name in enumerate(known["Name"]):
+        is_time = name == "Name"  # a column of times before each group
+        about = {key: row[i] for key, row in known.items() if i < len(row)}
+        unit = about.get("Unit", "").partition("(")[0].strip()  # of "rad/s (Velocity)"
+        scales = (cell for key, cell in about.items() if re.search(SCALES, key.lower()))
+        names.append(TIME if is_time else name)
+        units.append(time if is_time else with_scales(unit, scales))
+    layout = Layout(separator, tuple(numbered(names)), units=tuple(units))
+    return table_of_text("\n".join(body).encode(), layout)
 
 
 _DIADEM_CHANNEL = b"#BEGINCHANNELHEADER"

@@ -1,7 +1,7 @@
 """MDF files (versions 3 and 4); the master channel of each group is its time.
 
 Formulas in a file are never evaluated: stored values are read, and factor and offset are applied
-here. A channel with another conversion is withheld with the name of that conversion.
+here. A channel with another conversion is withheld.
 """
 
 from __future__ import annotations
@@ -15,16 +15,6 @@ import numpy as np
 from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, numbered, table_of_groups
 from bayesbl.recording.channels import TIME
 
-_NAMES_4 = {
-    3: "a formula", 4: "a table", 5: "a table", 6: "a table of ranges", 7: "a table of text",
-    8: "a table of text", 9: "text to a number", 10: "text to text", 11: "bits to text",
-}  # fmt: skip
-_NAMES_3 = {
-    1: "a table", 2: "a table", 6: "a polynomial", 7: "an exponential", 8: "a logarithm",
-    10: "a formula", 11: "a table of text", 12: "a table of text", 132: "a date", 133: "a time",
-}  # fmt: skip
-"""Nonlinear conversions by their number in MDF 4 and MDF 3."""
-
 
 def read(data: bytes) -> ArrayTable:
     """Every one-dimensional channel, in physical units if its conversion is linear."""
@@ -34,7 +24,7 @@ def read(data: bytes) -> ArrayTable:
 
 
 def _scale(conversion: Any) -> tuple[float, float, str]:
-    """Factor and offset of a channel's conversion, or the name of a nonlinear one."""
+    """Factor and offset of a channel's conversion, or what a nonlinear one is."""
     if conversion is None:
         return 1.0, 0.0, ""
     is_new = conversion.id == b"##CC"
@@ -48,8 +38,7 @@ def _scale(conversion: Any) -> tuple[float, float, str]:
         p = [float(getattr(conversion, f"P{i}")) for i in range(1, 7)]
         if p[0] == p[3] == p[4] == 0.0 != p[5]:
             return p[1] / p[5], p[2] / p[5], ""
-        return 1.0, 0.0, "a rational function"
-    return 1.0, 0.0, (_NAMES_4 if is_new else _NAMES_3).get(kind, f"kind {kind}")
+    return 1.0, 0.0, "a formula or a table"
 
 
 def _group(stored: Any, number: int) -> Group:

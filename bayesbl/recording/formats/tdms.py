@@ -11,8 +11,9 @@ import numpy as np
 
 from bayesbl.recording.array_table import ArrayTable, Group, table_of_groups
 from bayesbl.recording.channels import TIME
+from bayesbl.units import conversion_factor, is_accepted, spelled
 
-_CLOCK = ("wf_start_time", "wf_start_offset", "wf_increment")
+_CLOCK = ("wf_start_time", "wf_start_offset", "wf_increment", "wf_xunit_string")
 
 
 def read(data: bytes) -> ArrayTable:
@@ -27,7 +28,7 @@ def read(data: bytes) -> ArrayTable:
 
 
 def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
-    """Channels of a group that share a clock: waveforms with the same start and rate.
+    """Channels of a group that share a clock: waveforms with the same start, rate and unit of time.
 
     Channels without an increment use the only clock, if there is just one. ``first``: the earliest
     start of all waveforms, if all are dated.
@@ -46,13 +47,16 @@ def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
         held = {name: columns[name] for name in columns if clocks.get(name) == clock}
         if not held:
             continue
-        time, stated = None, {}
-        for name in held:
-            about = channels[name].properties
-            stated[name] = str(about.get("NI_UnitDescription", about.get("unit_string", "")))
-            stated.setdefault(TIME, str(about.get("wf_xunit_string", "")))
+        time, about = None, {name: channels[name].properties for name in held}
+        stated = {
+            n: str(a.get("NI_UnitDescription", a.get("unit_string", ""))) for n, a in about.items()
+        }
         if clock is not None:
-            start, offset, step, size = clock
-            late = 0.0 if first is None else (start - first) / np.timedelta64(1, "s")
-            time = late + float(offset or 0.0) + float(step) * np.arange(size)
+            start, offset, step, of_steps, size = clock
+            unit = spelled(str(of_steps or "s"))
+            is_time = is_accepted(TIME, unit)
+            stated[TIME] = "s" if is_time else unit
+            unit_s = conversion_factor(TIME, unit) if is_time else 1.0
+            late_s = 0.0 if first is None else (start - first) / np.timedelta64(1, "s")
+            time = late_s + unit_s * (float(offset or 0.0) + float(step) * np.arange(size))
         yield Group(str(group.name), held, time, stated)
