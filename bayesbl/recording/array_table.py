@@ -134,7 +134,10 @@ _COMPACT = re.compile(r"(\d{4})([-_.]?)(\d\d)\2(\d\d)[T_](\d\d)([-:]?)(\d\d)\6(\
 """Dates of file names and ISO's basic format: ``20261130T083000``, ``2026-11-30_08-30-00``."""
 
 _DAY_S = 86400
-_MILLISECONDS = re.compile(r"(?:^|[\W_])(?:ms|msecs?|milli[a-z]*)$", re.IGNORECASE)
+_IN_A_SECOND = {"nano": 1e9, "n": 1e9, "micro": 1e6, "u": 1e6, "milli": 1e3, "m": 1e3}
+_PART_OF_SECOND = re.compile(
+    rf"({'|'.join(_IN_A_SECOND)})(s(?:ecs?|econds?|ek(?:unden)?)?|tm)$", re.IGNORECASE
+)
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _OTHER_MONTHS = {"mär": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"}
@@ -329,21 +332,30 @@ class ArrayTable:
         if not is_date(next(filter(None, texts), "")):
             return None
         seconds = seconds_of_dates(texts, lambda row: self.place(row, column))
-        return self._with_milliseconds(seconds)
+        return self.with_parts(seconds)
 
-    def _with_milliseconds(self, seconds: FloatArray) -> FloatArray:
-        """Whole seconds, shape (n,), plus the milliseconds of another column
-        (``Date,Time,Millitm``) if these never decrease within a second."""
-        steps = np.diff(seconds)
-        if np.any(seconds % 1.0 != 0.0) or np.all(steps > 0.0):
-            return seconds
-        for name, values in self.arrays.items():
-            if _MILLISECONDS.search(name) and values.dtype.kind in "iuf":
-                ordered = np.all((np.diff(values) >= 0.0) | (steps != 0.0))
-                if values.min() >= 0 and values.max() < 1000 and ordered:
-                    whole = seconds + 1e-3 * values
-                    return np.asarray(whole - whole[0])
-        return seconds
+    def with_parts(self, stamps: FloatArray, time: str = "") -> FloatArray:
+        """Whole seconds, shape (n,), plus the parts of a second in another column.
+
+        That is a column of the same name (``tv_sec`` and ``tv_usec``, ``stamp.nanosec``), or beside
+        dates (``Date,Time,Millitm``) any one that is in order within each second.
+        """
+        steps = np.diff(stamps)
+        if np.any(stamps != np.floor(stamps)) or (np.all(steps > 0.0) and not time):
+            return stamps
+        for name, parts in self.arrays.items():
+            called = _PART_OF_SECOND.search(name)
+            if called is None or parts.dtype.kind not in "iuf" or parts.size != stamps.size:
+                continue
+            within, whole = np.diff(parts)[steps == 0.0], _IN_A_SECOND[called[1].lower()]
+            if time:
+                fits = (name[: called.start()] + called[2]).lower() == time.lower() != name.lower()
+            else:
+                fits = not name[: called.start()][-1:].isalnum()
+                fits = fits and bool(np.all(within >= 0.0) or np.all(within <= 0.0))
+            if fits and np.all((parts >= 0.0) & (parts < whole)):
+                return np.asarray(stamps - stamps[0] + (parts - float(parts[0])) / whole)
+        return stamps
 
     def numbers(self, columns: Sequence[str]) -> FloatArray:
         """Values of some columns, shape (n, len(columns)); NaN for missing ones.

@@ -7,8 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import (
@@ -45,8 +43,6 @@ COUNTED = frozenset(("sample", "samples"))
 _INDEX = re.compile(r"(?:[\s_]|[\s_]?[(\[])\d+[)\]]?$")
 """End of a name that numbers a joint, or one of several columns of the same name."""
 
-_IN_A_SECOND = {"nano": 1e9, "n": 1e9, "micro": 1e6, "u": 1e6, "milli": 1e3, "m": 1e3}
-_PART_OF_SECOND = re.compile(rf"({'|'.join(_IN_A_SECOND)})(s(?:ecs?|econds?)?)$")
 _FULL_WIDTH = str.maketrans("（）［］【】／％", "()[][]/%")
 
 _COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
@@ -163,24 +159,9 @@ def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> Stat
 def stamps_and_values(
     table: ArrayTable, time: str, columns: Sequence[str] = ()
 ) -> tuple[FloatArray, FloatArray]:
-    """Numbers of a time column, shape (n,), and of other columns, shape (n, c).
-
-    If a second column holds parts of whole seconds (``stamp.sec`` and ``stamp.nanosec`` of ROS,
-    ``tv_sec`` and ``tv_usec``), they are added.
-    """
-    found = ((name, _PART_OF_SECOND.search(name.lower())) for name in table.columns)
-    rest = {
-        name: _IN_A_SECOND[part[1]]
-        for name, part in found
-        if part and name != time and name.lower()[: part.start()] + part[2] == time.lower()
-    }
-    read = table.numbers([time, *columns, *rest])
-    stamps, parts = read[:, 0], read[:, 1 + len(columns) :]
-    if len(rest) == 1 and np.all(stamps == np.floor(stamps)):
-        whole = next(iter(rest.values()))
-        if np.all((parts >= 0.0) & (parts < whole)):
-            stamps = stamps - stamps[0] + parts[:, 0] / whole
-    return stamps, read[:, 1 : 1 + len(columns)]
+    """Numbers of a time column, shape (n,), and of other columns, shape (n, c)."""
+    read = table.numbers([time, *columns])
+    return table.with_parts(read[:, 0], time), read[:, 1:]
 
 
 def _bracketed(name: str) -> StatedUnit | None:

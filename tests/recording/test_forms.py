@@ -2165,7 +2165,8 @@ def test_the_unit_of_a_tdms_axis_is_not_always_seconds(tmp_path: Path) -> None:
     path = tmp_path / "a.tdms"
     step = {"wf_increment": 1.0, "wf_xunit_string": "ms"}
     with nptdms.TdmsWriter(path) as file:
-        file.write_segment([nptdms.ChannelObject("log", NAMES[1], SPEED, properties=step)])
+        other = nptdms.ChannelObject("log", "state", np.zeros(COUNT))  # of the same clock
+        file.write_segment([other, nptdms.ChannelObject("log", NAMES[1], SPEED, properties=step)])
     assert read_recording(path).sampling_period_s == pytest.approx(1e-3)
     with nptdms.TdmsWriter(path) as file:
         step["wf_xunit_string"] = "Hz"

@@ -232,6 +232,8 @@ def test_a_torque_that_does_not_drive_is_not_taken(name: str, tmp_path: Path) ->
         ("Torque-generating current actual value [A]", False),
         ("elbow current [A]", False),
         ("Corrente [A]", False),
+        ("Idc [A]", True),
+        ("Ibus [A]", True),
     ],
 )
 def test_a_word_more_in_a_name_is_a_question(name: str, is_doubted: bool, tmp_path: Path) -> None:
@@ -527,3 +529,42 @@ def test_a_word_among_numbers_is_a_lost_sample_and_told(
     assert read.excluded is not None
     assert np.flatnonzero(read.excluded).tolist() == [200, 201]
     assert '2 × "Scan Off" for a number, a lost sample' in read.notes[0]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("joint velocity [deg/s]", "joint torque [Nm]"),
+        ("A1 vel [deg/s]", "A1 torque [Nm]"),
+        ("/joint_states/elbow/velocity", "/joint_states/elbow/effort"),
+    ],
+)
+def test_a_torque_beside_the_speed_of_a_joint_is_asked_for(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    path = written(tmp_path, table(f"time_s,{','.join(names)}", form="{t:.3f},2.{i},{a}"))
+    found = guessed(path)
+    assert found["motor_torque_nm"].unit == UNKNOWN
+    assert "at the motor" in found["motor_torque_nm"].reason
+    path.write_text(path.read_text().replace(names[1], "motor torque [Nm]"))
+    assert guessed(path)["motor_torque_nm"].unit == "Nm"
+
+
+def test_rows_without_a_time_are_no_recording(tmp_path: Path) -> None:
+    rows = [f"{t if i % 5 == 0 else ''},{n}" for i, (t, n, _) in ROWS]
+    path = written(tmp_path, "\n".join(["time_s,motor_speed_rpm", *rows]))
+    with pytest.raises(RecordingError, match="values but no time.*line 3"):
+        read_recording(path)
+    rows = [f"{t if i % 50 else ''},{n}" for i, (t, n, _) in ROWS]
+    path = written(tmp_path, "\n".join(["time_s,motor_speed_rpm", *rows]))
+    assert read_recording(path).samples == COUNT - 1
+
+
+def test_microseconds_may_have_a_column_beside_whole_dates(tmp_path: Path) -> None:
+    rows = [
+        f"{at:%Y-%m-%d},{at:%H:%M:%S},{at.microsecond},{n}"
+        for at, (_, (_, n, _)) in zip(STAMPS, ROWS, strict=True)
+    ]
+    path = written(tmp_path, "\n".join(["Date,Time,us,motor_speed_rpm", *rows]))
+    read = read_recording(path, columns={"time_s": ColumnSpec("Time")})
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
