@@ -122,11 +122,24 @@ def _recording(
             expected="a time in every row",
         )
     values = held(values, repairs)
-    _check_finite(table, others, values)
+    for column, series in zip(others, values.T, strict=True):
+        if np.isnan(series).all():
+            raise RecordingError(
+                "This column holds no number.",
+                where=f'column "{column.name}"',
+                found=f"NaN, infinite or empty in all {len(values)} samples",
+                expected="a finite number in every sample",
+            )
     stamped = (stamps, values) if rows.size == len(values) else (stamps[rows], values[rows])
     order, stamps = mended_clock(*stamped, time_column.factor, repairs, even=even)
     rows = rows[order]
-    _check_length(table, time_column, rows.size)
+    if rows.size < MINIMUM_SAMPLES:
+        raise RecordingError(
+            "The recording is too short.",
+            where=f'column "{time_column.name}"',
+            found=f"{rows.size} samples with a time",
+            expected=f"at least {MINIMUM_SAMPLES}",
+        )
     time_s = _seconds(table, time_column, stamps, rows)
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
         values = values[rows]
@@ -307,25 +320,3 @@ def _format_of(path: Path) -> Format:
             expected=" or ".join(FORMATS) + ", or one of these packed as .gz",
         )
     return FORMATS[suffix]
-
-
-def _check_length(table: ArrayTable, column: Column, stamps: int) -> None:
-    if stamps < MINIMUM_SAMPLES:
-        raise RecordingError(
-            "The recording is too short.",
-            where=f'column "{column.name}"',
-            found=f"{stamps} samples with a time",
-            expected=f"at least {MINIMUM_SAMPLES}",
-        )
-
-
-def _check_finite(table: ArrayTable, others: Sequence[Column], values: FloatArray) -> None:
-    """Refuse a column without a number; single missing values are bridged later."""
-    for column, series in zip(others, values.T, strict=True):
-        if np.isnan(series).all():
-            raise RecordingError(
-                "This column holds no number.",
-                where=f'column "{column.name}"',
-                found=f"NaN, infinite or empty in all {len(values)} samples",
-                expected="a finite number in every sample",
-            )

@@ -35,34 +35,18 @@ class Source:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Recording:
-    """Named channels over time, checked at file level only.
+    """Named channels over time, checked at file level only; n samples."""
 
-    Attributes
-    ----------
-    name
-        Short name that results and figures use.
-    time_s
-        Shape (n,), strictly increasing, finite.
-    channels
-        Channel name to values, each of shape (n,), finite, in the unit its name ends in.
-    source
-        File and hash it was read from; ``None`` for a simulated recording.
-    metadata
-        What else is known, e.g. ``date`` or the parameters of the simulation that made it.
-    excluded
-        Shape (n,): samples that stand in for ones that were lost (bridged) or cannot be trusted
-        (clipped); a fit leaves them out. ``None`` where there are none.
-    notes
-        Sentences on what was done to the recording, for the result.
-    """
-
-    name: str
-    time_s: FloatArray
+    name: str  # short, for results and figures
+    time_s: FloatArray  # shape (n,), strictly increasing, finite
+    # Each channel's values, shape (n,), finite, in the unit that its name ends in.
     channels: Mapping[str, FloatArray]
-    source: Source | None = None
-    metadata: Mapping[str, Any] = field(default_factory=dict)
+    source: Source | None = None  # None for a simulated recording
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # what else is known, e.g. its date
+    # Samples that stand in for lost ones or cannot be trusted (clipped), shape (n,); fits leave
+    # them out. None without any.
     excluded: BoolArray | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # sentences on what was done to it, for the result
 
     def __repr__(self) -> str:
         rate = 1.0 / self.sampling_period_s
