@@ -658,8 +658,8 @@ def _of_motor(
         )
     columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
     for channel, reason in asked.items():
-        is_rpm = units.get(channel) == "rpm"
-        unit = "rpm" if is_rpm else UNKNOWN
+        is_rpm = units.get(main if channel == MOTOR_TORQUE else channel) == "rpm"
+        unit = units[channel] if is_rpm else UNKNOWN
         columns = _changed(columns, channel, unit=unit, reason=reason, sure=True, doubted=is_rpm)
     return columns
 
@@ -806,22 +806,22 @@ def _stated(
     channel: str, column: _Named, suggested: Mapping[str, tuple[str, str]] | None = None
 ) -> GuessedColumn:
     """The guess with the unit that the file states, else with the one that the numbers suggest."""
-    stated = column.stated_for(channel)
-    if stated.unknown:
-        units = choice_of_units(channel)
-        asked = f'enter its unit, as the file says "{shortened(stated.unknown)}": {units}'
-        return GuessedColumn(channel, column.name, UNKNOWN, asked, True)
-    if stated.unit:
-        of_file = "the name says so" if column.name == channel else "stated in the file"
-        said = of_file if column.stated.unit else "ROS logs in SI units (REP 103)"
-        return GuessedColumn(channel, column.name, stated.unit, said, True)
-    if suggested and channel in suggested:
-        return GuessedColumn(channel, column.name, *suggested[channel], False)
-    if channel == TIME or (channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE)):
-        return GuessedColumn(channel, column.name, _USUAL[channel], NO_UNIT, False)
+    stated, units = column.stated_for(channel), choice_of_units(channel)
+    unit, sure = stated.unit or UNKNOWN, bool(stated.unknown or stated.unit)
     # A share, a count or a number that was scaled looks like any other.
-    asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
-    return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
+    reason = f"enter its unit: {_readings(channel, column)}{units}"
+    if stated.unknown:
+        unit = UNKNOWN
+        reason = f'enter its unit, as the file says "{shortened(stated.unknown)}": {units}'
+    elif stated.unit and column.stated.unit:
+        reason = "the name says so" if column.name == channel else "stated in the file"
+    elif stated.unit:
+        reason = "ROS logs in SI units (REP 103)"
+    elif suggested and channel in suggested:
+        unit, reason = suggested[channel]
+    elif channel == TIME or (channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE)):
+        unit, reason = _USUAL[channel], NO_UNIT
+    return GuessedColumn(channel, column.name, unit, reason, sure)
 
 
 def _readings(channel: str, column: _Named) -> str:

@@ -201,21 +201,16 @@ def bridge(time_s: FloatArray, values: FloatArray, place: Place, *, even: bool =
 
 
 def _refuse_too_much(lost: BoolArray, longest_s: float, where: str) -> None:
-    share = lost.mean()
     if longest_s > LONGEST_LOSS_S:
-        raise RecordingError(
-            "Samples are missing for too long.",
-            where=where,
-            found=f"nothing for {longest_s:.4g} s",
-            expected=f"at most {LONGEST_LOSS_S:g} s in a row; use the part before or after",
-        )
-    if share > MOST_LOST:
-        raise RecordingError(
-            "Too many samples are missing.",
-            where=f"longest {where}",
-            found=f"{lost.sum()} of {lost.size} samples, {100.0 * share:.3g} %",
-            expected=f"at most {100.0 * MOST_LOST:g} %; rename a column that is not needed",
-        )
+        problem, found = "Samples are missing for too long.", f"nothing for {longest_s:.4g} s"
+        expected = f"at most {LONGEST_LOSS_S:g} s in a row; use the part before or after"
+    elif lost.mean() > MOST_LOST:
+        problem, where = "Too many samples are missing.", f"longest {where}"
+        found = f"{lost.sum()} of {lost.size} samples, {100.0 * lost.mean():.3g} %"
+        expected = f"at most {100.0 * MOST_LOST:g} %; rename a column that is not needed"
+    else:
+        return
+    raise RecordingError(problem, where=where, found=found, expected=expected)
 
 
 def runs(flags: BoolArray) -> tuple[IntArray, IntArray]:

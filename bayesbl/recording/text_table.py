@@ -13,14 +13,6 @@ These rules hold for every dialect:
 
 The text is read once, in blocks of lines, so memory is that of the file and its numbers. NumPy
 reads blocks of numbers only.
-
-A log of events has one value on each line, with its name and stamp, written on change, as by
-EPICS's camonitor. A value holds until the next one of its name.
-
-::
-
-    axis:Enc-PosAct 2020-12-08 16:17:33.317076 1.12222
-    1607444253.317 axis:Enc-PosAct 1.12222
 """
 
 from __future__ import annotations
@@ -685,10 +677,13 @@ def in_lines(head: Sequence[str]) -> list[str] | None:
 
 
 def in_cells(text: bytes, head: Sequence[str]) -> ArrayTable | None:
-    """A text whose lines name their values as a table: of events, or of pairs of name and value.
+    """A text whose lines name their values as a table: of changes, as by EPICS's camonitor, or of
+    pairs of name and value.
 
     ::
 
+        axis:Enc-PosAct 2020-12-08 16:17:33.317076 1.12222
+        1607444253.317 axis:Enc-PosAct 1.12222
         [12:30:01.123] I (1234) motor: vel=12.3, cur=0.4
     """
     written = [line for line in head if line.strip()]
