@@ -197,6 +197,11 @@ class GuessedColumn:
         """Whether the user has to complete it."""
         return self.needed and self.unit == UNKNOWN
 
+    @property
+    def is_spare(self) -> bool:
+        """Whether its unit is unknown and nothing needs it."""
+        return not self.needed and self.unit == UNKNOWN
+
 
 @dataclass(frozen=True, slots=True)
 class Guess:

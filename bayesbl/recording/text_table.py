@@ -237,11 +237,10 @@ def layout_of(
         return Layout(separator, names, mark, stated, begin=begin, step_s=step_s)
     last, names, units = heading
     units = units or _of_key(_UNITS, above_cells, width)
-    both = zip_longest(stated[: len(names)], units, fillvalue="")
-    units = tuple(of_cells or above for of_cells, above in both)
-    for scales in _rows_of_key(SCALES, above_cells, width):
-        both = zip_longest(units, scales[: len(names)], fillvalue="")
-        units = tuple(with_scales(unit, [scale]) for unit, scale in both)
+    scales = _rows_of_key(SCALES, above_cells, width)
+    every = zip_longest(stated, units, *scales, fillvalue="")
+    each = [with_scales(of_cells or of_row, more) for of_cells, of_row, *more in every]
+    units = tuple(each[: len(names)])
     if heading[2] or not any(labels):
         labels = ()
     pairs = zip(labels, names, strict=False)

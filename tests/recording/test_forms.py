@@ -561,7 +561,7 @@ def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
     assert not position.needed
     file.write_text(text(lines, "time,/joint_states/arm/position,/joint_states/arm/velocity"))
     _, speed_, position = guess_columns(read_table(file)).columns
-    assert (speed_.is_open, position.unit, position.needed) == (True, UNKNOWN, False)
+    assert (speed_.is_open, position.is_spare) == (True, True)
     for column, unit in ((speed_, "rad/s"), (position, "rad")):  # ROS logs in SI units
         assert "slow for a motor" in column.reason
         assert f'"120 {unit}", of the motor "{unit}"' in column.reason
@@ -1389,7 +1389,7 @@ def test_the_unit_of_a_current_or_torque_is_not_made_up(name: str, tmp_path: Pat
     # A share of the rated value, or counts of 2.69 mA, look like A.
     path = tmp_path / "a.csv"
     path.write_text(text([f"{t},{n},{n / 50}" for t, n in PAIRS], f"t [s],n [rpm],{name}"))
-    assert guess_columns(read_table(path)).columns[2].unit == UNKNOWN
+    assert guess_columns(read_table(path)).columns[2].is_spare
 
 
 @pytest.mark.parametrize("form", ["a copy of the value", "a number first", "a growing value"])
@@ -1528,7 +1528,7 @@ def test_a_row_of_scales_makes_the_units_a_question(tmp_path: Path) -> None:
     head = "Signal;Time;N_ACT;I_ACT\nUnit;ms;1/min;A\nFactor;1;0,1;0,001"
     path.write_text(text([f";{1e3 * t:.0f};{10 * n:.0f};4000" for t, n in PAIRS], head))
     time, speed, current = guess_columns(read_table(path)).columns
-    assert (time.unit, speed.is_open, current.unit) == ("ms", True, UNKNOWN)
+    assert (time.unit, speed.is_open, current.is_spare) == ("ms", True, True)
     assert '"1/min (scale 0,1)"' in speed.reason
 
 
@@ -1613,7 +1613,7 @@ def test_what_robots_log_of_an_axis_is_not_silently_the_motors(tmp_path: Path, n
         assert found.is_open or not is_asked
     position = [f"{row},{t}" for row, t in zip(rows(), TIME, strict=True)]
     beside = guess_of(tmp_path, text(position, "time_s,motor speed [rpm],A1 position [deg]"))
-    assert beside["motor_position_rad"].unit == UNKNOWN
+    assert beside["motor_position_rad"].is_spare
 
 
 @pytest.mark.parametrize(
