@@ -203,10 +203,13 @@ def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
             if share < LEAST_SHARE:
                 continue
             likely = np.clip(share + sd * QUANTILES, 0.0, 1.0)
-        power = speed_power[usable] / np.abs(channels[0][usable]) ** 2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen = speed_power / np.abs(channels[0]) ** 2
         lowest = frequency[usable] <= 2.0 * frequency[usable[0]]
-        level = float(power[lowest].mean())
-        size = np.sqrt(np.interp(frequencies, frequency[usable], power, left=level))
+        level = float(seen[usable][lowest].mean())
+        # Elsewhere it is alike, but no more than all noise.
+        power = np.fmin(np.interp(frequency, frequency[usable], seen[usable], left=level), seen)
+        size = np.sqrt(np.interp(frequencies, frequency, power))
         size[0] = 0.0
         drawn = _rotations(
             fit,
@@ -321,9 +324,14 @@ def _noise(
     ``size``: gain from white to this noise by frequency, (n//2 + 1,); ``reference``, ``channels``,
     ``beside``: of :func:`_of_origin`.
     """
-    observation = fit.model.recordings[recording]
+    model, observation = fit.model, fit.model.recordings[recording]
     undisturbed = _simulated(fit, recording, np.zeros(observation.samples), observation.sampling_hz)
     count = len(observation.signals)
+    # A position loop also follows the integral of what is subtracted.
+    position_gain = model.vectors(fit.point[None], observation)[0, Slot.position_gain_per_s]
+    rate = 2.0j * math.pi * observation.sampling_hz * np.fft.rfftfreq(observation.samples)
+    rate[0] = 1.0
+    reference = reference * rate / (rate + position_gain)
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
     while True:
         drawn = size * np.fft.rfft(rng.standard_normal(observation.samples))
