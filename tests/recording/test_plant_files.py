@@ -534,7 +534,7 @@ def test_a_word_among_numbers_is_a_lost_sample_and_told(
 @pytest.mark.parametrize(
     "names",
     [
-        ("joint velocity [deg/s]", "joint torque [Nm]"),
+        ("elbow velocity [deg/s]", "elbow torque [Nm]"),
         ("A1 vel [deg/s]", "A1 torque [Nm]"),
         ("/joint_states/elbow/velocity", "/joint_states/elbow/effort"),
     ],
