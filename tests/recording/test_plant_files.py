@@ -553,7 +553,7 @@ def test_a_torque_beside_the_speed_of_a_joint_is_asked_for(
 def test_rows_without_a_time_are_no_recording(tmp_path: Path) -> None:
     rows = [f"{t if i % 5 == 0 else ''},{n}" for i, (t, n, _) in ROWS]
     path = written(tmp_path, "\n".join(["time_s,motor_speed_rpm", *rows]))
-    with pytest.raises(RecordingError, match=r"values but no time.*line 3"):
+    with pytest.raises(RecordingError, match=r"line 3.*values but no time"):
         read_recording(path)
     rows = [f"{t if i % 50 else ''},{n}" for i, (t, n, _) in ROWS]
     path = written(tmp_path, "\n".join(["time_s,motor_speed_rpm", *rows]))
