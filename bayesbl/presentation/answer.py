@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeGuard
 
 from bayesbl.presentation import wear, words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
 from bayesbl.presentation.words import SURE, interval_kind, route_in_words
 from bayesbl.units import in_words as name_in_words
 from bayesbl.units import number, quantity_and_unit
@@ -358,7 +358,7 @@ def sampler_check(check: SamplerCheckSummary) -> str:
 def _gap_table(summary: MeasuredSummary) -> Table:
     """A row for each snapshot and for the change; columns for each route."""
     parts = snapshots(summary)
-    named = [text("Snapshot")] if summary["kind"] == "compare" else []
+    named = ["Snapshot"] if summary["kind"] == "compare" else []
     routes = [route["route"] for route in answering(parts[0][1])]
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
     kind = words.interval_kind(first or next(iter(parts[0][1]["parameters"].values())))
@@ -369,9 +369,9 @@ def _gap_table(summary: MeasuredSummary) -> Table:
             if len(routes) > 1
             else "Gap "
         )
-        columns += [numbers(f"{by}δ (mrad)"), numbers(f"{kind}\n(mrad)")]
+        columns += [f"#{by}δ (mrad)", f"#{kind}\n(mrad)"]
     beside = _play_columns(parts[0][1])
-    columns += [*map(numbers, beside), text("Outcome")]
+    columns += [*beside, "Outcome"]
     rows = []
     for name, part in parts:
         cells = [name] * len(named)
@@ -391,8 +391,8 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     """The ringing of each snapshot: A, τ, ω, and how well the waveform fits."""
     from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
-    named = [text("Ringing")] if summary["kind"] == "compare" else []
-    titles = ("A\n(rpm)", "τ\n(1/s)", "1/τ\n(ms)", "ω/2π\n(Hz)", "RMSE\n(rpm)", "Noise sd\n(rpm)")
+    named = ["Ringing"] if summary["kind"] == "compare" else []
+    titles = ["#A\n(rpm)", "#τ\n(1/s)", "#1/τ\n(ms)", "#ω/2π\n(Hz)", "#RMSE\n(rpm)"]
     rows = []
     for name, part in snapshots(summary):
         ringing = with_ringing(part)
@@ -410,7 +410,7 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
             f"{ringing['noise']['sd_rpm']:.2f}",
         ]
         rows.append([name] * len(named) + cells)
-    return table([*named, *map(numbers, titles)], rows)
+    return table([*named, *titles, "#Noise sd\n(rpm)"], rows)
 
 
 _AGAIN = {
@@ -596,20 +596,20 @@ def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
 
 
 def _play_columns(part: SnapshotSummary) -> dict[str, Callable[[SnapshotSummary], str]]:
-    """Further columns of a route that measures the play, by title."""
+    """Further columns of numbers of a route that measures the play, by title."""
     if "ramps" in part:
         at = words.significant(part["lost_motion_torque_nm"])
         return {
-            f"Lost motion\n±{at} N m\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
-            "Compliance\n(mrad/N m)": lambda p: _median(p["compliance_rad_per_nm"], 1e3),
-            "Friction\n(N m)": lambda p: _median(p["friction_torque_nm"]),
+            f"#Lost motion\n±{at} N m\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "#Compliance\n(mrad/N m)": lambda p: _median(p["compliance_rad_per_nm"], 1e3),
+            "#Friction\n(N m)": lambda p: _median(p["friction_torque_nm"]),
         }
     if "reversals" in part:
         return {
-            "Play 2δ\n(mrad)": lambda p: _median(p["play_rad"], 1e3),
-            "Lost motion\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
-            "Skew\n(ms)": lambda p: words.bounds(p["channel_skew_s"], 1e3),
-            "Gear\nratio": lambda p: words.middle(p["gear_ratio"]),
+            "#Play 2δ\n(mrad)": lambda p: _median(p["play_rad"], 1e3),
+            "#Lost motion\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "#Skew\n(ms)": lambda p: words.bounds(p["channel_skew_s"], 1e3),
+            "#Gear\nratio": lambda p: words.middle(p["gear_ratio"]),
         }
     return {}
 

@@ -59,19 +59,10 @@ def aside(sentence: str) -> Sentence:
     return Sentence(sentence, "aside")
 
 
-def text(title: str) -> Column:
-    """A left-aligned column of text."""
-    return Column(title, numeric=False)
-
-
-def numbers(title: str) -> Column:
-    """A right-aligned column of numbers."""
-    return Column(title, numeric=True)
-
-
-def table(columns: Iterable[Column], rows: Iterable[Iterable[object]]) -> Table:
-    """A table with cells converted to text."""
-    return Table(tuple(columns), tuple(tuple(str(cell) for cell in row) for row in rows))
+def table(titles: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
+    """A table with cells converted to text; ``#`` before a title: numbers, aligned to the right."""
+    columns = (Column(title.removeprefix("#"), title.startswith("#")) for title in titles)
+    return Table(tuple(columns), tuple(tuple(map(str, row)) for row in rows))
 
 
 AdviceTone = Literal["fine", "watch", "act", "withheld", "note"]

@@ -22,16 +22,7 @@ from bayesbl.presentation import (
     study,
     sweep,
 )
-from bayesbl.presentation.blocks import (
-    Block,
-    Heading,
-    Sentence,
-    aside,
-    labelled,
-    numbers,
-    table,
-    text,
-)
+from bayesbl.presentation.blocks import Block, Heading, Sentence, aside, labelled, table
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.words import significant
 from bayesbl.recording.guessing import NO_UNIT, UNKNOWN
@@ -143,8 +134,7 @@ def entry(effect: Effect) -> Iterator[Block]:
         (item.name, item.unit or "1", *map(_plain, (item.low, item.high, item.neutral)))
         for item in effect.parameters
     ]
-    columns = (text("Parameter"), text("Unit"), *map(numbers, ("Low", "High", "Off or default")))
-    yield table(columns, rows)
+    yield table(("Parameter", "Unit", "#Low", "#High", "#Off or default"), rows)
     for item in effect.parameters:
         yield Sentence(item.meaning, "aside", item.name)
 
@@ -174,7 +164,7 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
     """The guessed columns with channel, unit and reason, and what to check."""
     yield Sentence("Guessed from the recording; please confirm:", "answer")
     rows = [(column.name, column.channel, column.unit, column.reason) for column in guess.columns]
-    yield table(map(text, ("Column", "Channel", "Unit", "Reason")), rows)
+    yield table(("Column", "Channel", "Unit", "Reason"), rows)
     if guess.unused:
         yield Sentence(", ".join(guess.unused), label="Not used")
     for name in filter(_SHARE.search, guess.unused):

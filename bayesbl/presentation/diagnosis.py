@@ -8,7 +8,7 @@ from itertools import starmap
 from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
 from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.folder import AUGMENTED_BENCH
@@ -238,7 +238,6 @@ def _with_unit(value: str, unit: str) -> str:
 
 def disagreement_table(summary: DisagreementTableSummary) -> Table:
     """RMS of the model error by recording and channel, and over all."""
-    titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
     pieces = list(compared_pieces(summary))
     several = len({channel for _, channel, *_ in pieces}) > 1
     rows = [
@@ -255,7 +254,8 @@ def disagreement_table(summary: DisagreementTableSummary) -> Table:
         )
         for name, use, row in rows
     ]
-    return table((text("Recording"), text("Use"), *map(numbers, titles)), cells)
+    sizes = ("#Disagreement\nbefore", "#after", "#Noise", "#Removed")
+    return table(("Recording", "Use", *sizes), cells)
 
 
 def compared_pieces(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import answer, words
-from bayesbl.presentation.blocks import Block, Heading, Table, aside, labelled, numbers, table, text
+from bayesbl.presentation.blocks import Block, Heading, Table, aside, labelled, table
 from bayesbl.units import number, quantity_and_unit
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def parameter_table(part: RouteSummary) -> Table:
         heads = ["Optimum", *heads]
     kind = words.interval_kind(next(iter(part["parameters"].values())))
     rows = [_row(part, name, interval, len(heads)) for name, interval in intervals.items()]
-    return table([text("Parameter"), *map(numbers, [*heads, kind]), text("Unit")], rows)
+    return table(["Parameter", *(f"#{head}" for head in (*heads, kind)), "Unit"], rows)
 
 
 def _row(part: RouteSummary, name: str, interval: Interval | None, values: int) -> list[str]:
@@ -185,8 +185,7 @@ def _of_ramps(part: RouteSummary) -> Iterator[Block]:
 
 
 def _check_table(part: RouteSummary) -> Table:
-    orders = "Orders of the\ncycle up to" if "motion" in part else "Load orders\nup to"
-    titles = (orders, "Repeating\nover noise", "Probability")
+    orders = "#Orders of the\ncycle up to" if "motion" in part else "#Load orders\nup to"
     rows = [
         (
             entry["channel"],
@@ -196,4 +195,4 @@ def _check_table(part: RouteSummary) -> Table:
         )
         for entry in part["predictive_check"]
     ]
-    return table((text("Channel"), *map(numbers, titles)), rows)
+    return table(("Channel", orders, "#Repeating\nover noise", "#Probability"), rows)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Block, Sentence, numbers, table, text
+from bayesbl.presentation.blocks import Block, Sentence, table
 from bayesbl.presentation.wear import LAWS, month
 
 if TYPE_CHECKING:
@@ -86,8 +86,7 @@ def unlike_type(row: Row, summary: Row) -> str | None:
 
 def blocks(summary: FleetSummary) -> Iterator[Block]:
     """The most urgent joints, and what was left out."""
-    gap, rate = numbers("Gap (mrad)"), numbers("Rate (mrad/year)")
-    columns = (text("Joint"), text("Gearbox"), gap, rate, text("Reaches limit"), text("State"))
+    titles = ("Joint", "Gearbox", "#Gap (mrad)", "#Rate (mrad/year)", "Reaches limit", "State")
     rows = [
         (
             row["joint"],
@@ -99,7 +98,7 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
         )
         for row in summary["most_urgent"][:_SHOWN]
     ]
-    yield table(columns, rows)
+    yield table(titles, rows)
     yield from map(Sentence, types_in_words(summary))
     counted = summary["recordings"]
     unmeasured = {k: n for k, n in counted.items() if k not in _MEASURED}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
 from bayesbl.presentation.diagnosis import disagreement_table, effect_in_words
 from bayesbl.units import in_words
 
@@ -110,9 +110,8 @@ def assumptions(summary: IdentificationSummary) -> Iterator[str]:
 def _parameters(summary: IdentificationSummary) -> Table:
     rows = [_row(name, parameter) for name, parameter in summary["parameters"].items()]
     level = next(iter(summary["parameters"].values()))["posterior"]["level"]
-    titles = ("Data sheet", f"Identified ({100.0 * level:g} % interval)")
-    columns = (text("Parameter"), *map(numbers, titles), text("Unit"), numbers("Learned"))
-    return table(columns, rows)
+    identified = f"#Identified ({100.0 * level:g} % interval)"
+    return table(("Parameter", "#Data sheet", identified, "Unit", "#Learned"), rows)
 
 
 def _row(name: str, parameter: ParameterSummary) -> tuple[str, ...]:

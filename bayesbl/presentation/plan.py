@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
 from bayesbl.presentation.words import percent
 from bayesbl.units import number
 
@@ -54,8 +54,8 @@ def blocks(summary: PlanSummary) -> Iterator[Block]:
 
 
 def _plan_table(motions: list[PlannedEntry]) -> Table:
-    titles = ["From\n(°)", "To\n(°)", "Speed\n(rpm)", "Acceleration\n(rpm/s)"]
-    titles += ["Flank\nchanges", "Expected sd\nof δ"]
+    titles = ["#From\n(°)", "#To\n(°)", "#Speed\n(rpm)", "#Acceleration\n(rpm/s)"]
+    titles += ["#Flank\nchanges", "#Expected sd\nof δ"]
     rows = [
         (
             *(number(math.degrees(angle), 1) for angle in motion["range_rad"]),
@@ -66,7 +66,7 @@ def _plan_table(motions: list[PlannedEntry]) -> Table:
         )
         for motion in motions
     ]
-    return table(map(numbers, titles), rows)
+    return table(titles, rows)
 
 
 def assumptions(_: object) -> tuple[str, ...]:

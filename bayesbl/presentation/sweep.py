@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation.answer import GAP_EXPLAINED
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
 from bayesbl.presentation.words import percent, significant, source_in_words
 from bayesbl.units import number
 
@@ -73,11 +73,11 @@ def _coefficient_table(summary: SweepSummary) -> Table:
         raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
         term, unit = (f"A{raised}", f"rad/rpm{raised}") if power else ("1", "rad")
         rows.append((term, f"{value:.6e}".replace("-", "−"), unit))
-    return table((text("Term"), numbers("Coefficient"), text("Unit")), rows)
+    return table(("Term", "#Coefficient", "Unit"), rows)
 
 
 def _degree_table(summary: SweepSummary) -> Table:
-    titles = ("Degree", "RMS\ndeparture (%)", "Largest\ndeparture (%)", "Log evidence\nbelow best")
+    departures = "#RMS\ndeparture (%)", "#Largest\ndeparture (%)"
     best = max(fit["log_evidence"] for fit in summary["degrees"].values())
     rows = [
         (
@@ -89,7 +89,7 @@ def _degree_table(summary: SweepSummary) -> Table:
         )
         for degree, fit in summary["degrees"].items()
     ]
-    return table((*map(numbers, titles), text("")), rows)
+    return table(("#Degree", *departures, "#Log evidence\nbelow best", ""), rows)
 
 
 def assumptions(_: object) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from datetime import date
 from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Block, Sentence, Table, aside, table
 from bayesbl.presentation.words import capitalised
 from bayesbl.sentences import UNSEEN_WITHOUT_CURRENT
 from bayesbl.units import number
@@ -273,8 +273,7 @@ def _table(wear: WearSummary) -> Table:
             f"before {wear['last_date']}" if years[end] == 0.0 else day(dates[end]) for end in _ENDS
         )
         rows.append(("date of the limit", middle, low if low == high else f"{low} to {high}", ""))
-    kind = words.interval_kind(rate)
-    return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
+    return table(("Wear", "#Median", f"#{words.interval_kind(rate)}", "Unit"), rows)
 
 
 def _row(name: str, interval: Interval, scale: float, unit: str) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import labelled, numbers, table, text
+from bayesbl.presentation.blocks import labelled, table
 from bayesbl.presentation.fleet import (
     OUTCOMES,
     Cell,
@@ -162,7 +162,7 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
     from bayesbl.fleet.plant_tables import JOINT_COLUMNS
 
     own = {key: v for key, v in row.items() if key not in JOINT_COLUMNS and v is not None}
-    titles = ("Gap (mrad)", "Outcome", "Used for the rate", "Notes", "File")
+    titles = ("Date", "#Gap (mrad)", "Outcome", "Used for the rate", "Notes", "File")
     cells = (
         (
             one["date"],
@@ -182,7 +182,7 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
         "reason": row["reason"],
         "picture": picture(_given(recordings), row["limit_rad"], axes=True),
         "numbers": [*labelled({**dict(_facts(row, summary)), **own})],
-        "recordings": [table((text("Date"), numbers(titles[0]), *map(text, titles[1:])), cells)],
+        "recordings": [table(titles, cells)],
     }
 
 
