@@ -168,11 +168,9 @@ def _draw_zoom(
             time[inside], course[stage][inside], color=look.colour, linestyle=look.dashes,
             linewidth=0.9, label=label,
         )  # fmt: skip
-    panel.set_xlim(*window)
-    panel.set_xlabel("Time (s)")
-    panel.locator_params(axis="x", nbins=4)
     name = capitalised(CHANNELS.get(channel, channel))
-    panel.set_ylabel(f"{name} ({unit_of(channel)})")
+    panel.set(xlim=window, xlabel="Time (s)", ylabel=f"{name} ({unit_of(channel)})")
+    panel.locator_params(axis="x", nbins=4)
 
 
 def _draw_every(panel: Axes, pieces: Sequence[Piece]) -> None:
@@ -190,28 +188,25 @@ def _draw_every(panel: Axes, pieces: Sequence[Piece]) -> None:
         panel.text(1.0, row - 0.2, f" {text}", va="bottom")
     panel.axvline(1.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)), zorder=0.5)
     style.plain_log_axis(panel.xaxis, (1.0, 2.0, 5.0) if reach < 30.0 else (1.0,))
-    panel.set_xlim(0.85, 1.25 * max(reach, 1.6))
-    panel.set_ylim(len(pieces) - 0.5, -0.8)
-    panel.set_yticks([])
+    panel.set(xlim=(0.85, 1.25 * max(reach, 1.6)), xlabel="RMS / noise floor")
+    panel.set(ylim=(len(pieces) - 0.5, -0.8), yticks=[])
     panel.spines["left"].set_visible(False)
-    panel.set_xlabel("RMS / noise floor")
 
 
 LEVEL_SD = 1.645  # half-width of a 90 % interval in standard deviations
 
-_LABELS = {
-    "motor_angle": "Motor angle from the first recording's start (turns)",
-    "load_angle": "Load angle (°), 0 hangs down",
-    "motor_speed": "Motor speed (rad/s)",
-    "time": "Time from the start of the first recording (s)",
+_VARIABLES = {
+    "motor_angle": (0.5 / math.pi, "Motor angle from the first recording's start (turns)"),
+    "load_angle": (180.0 / math.pi, "Load angle (°), 0 hangs down"),
+    "motor_speed": (1.0, "Motor speed (rad/s)"),
+    "time": (1.0, "Time from the start of the first recording (s)"),
 }
+"""Scale of what a learned term depends on, and label."""
 _LEARNED = {
     "learned_torque": ("torque_nm", "sd_nm", 1.0, "Learned torque\nat the {} (N m)"),
     "encoder_error": ("angle_rad", "sd_rad", 1e3, "Error of the\nencoder (mrad)"),
 }
 """Variables of each group, scale of their values, and label."""
-
-_SCALES = {"motor_angle": 0.5 / math.pi, "load_angle": 180.0 / math.pi}
 
 
 @stored_figure(
@@ -230,16 +225,15 @@ def learned_course(tree: xr.DataTree) -> Figure:
     assert term is not None
     figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0)
     panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
-    x = stored["variable"].values * _SCALES.get(term["variable"], 1.0)
+    in_unit, variable = _VARIABLES[term["variable"]]
+    x = stored["variable"].values * in_unit
     course, reach = scale * stored[value].values, scale * LEVEL_SD * stored[deviation].values
     panel.fill_between(x, course - reach, course + reach, color=style.BAND, linewidth=0.0)
     panel.plot(x, course, color=style.MODEL)
     panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.5)
-    panel.set_xlim(x[0], x[-1])
+    panel.set(xlim=(x[0], x[-1]), xlabel=variable, ylabel=label.format(term["side"]))
     if term["variable"] == "load_angle":
         panel.set_xticks([-180.0, -90.0, 0.0, 90.0, 180.0])
-    panel.set_xlabel(_LABELS[term["variable"]])
-    panel.set_ylabel(label.format(term["side"]))
     return figure
 
 
