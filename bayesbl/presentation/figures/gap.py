@@ -154,33 +154,13 @@ def _draw_rows(
     limit_rad: float | None = None,
 ) -> None:
     """Draw rows from top to bottom; only the answer's densities are filled."""
-    texts: list[tuple[float, int, str]] = []
-    ends_shown: list[float] = []
-    for place, row in enumerate(rows):
+    drawn = []
+    for row in rows:
         across, heights = density(row.draws)
         visible = heights > VISIBLE * heights.max()
-        across, heights = across[visible], heights[visible]
-        ends_shown += [float(across[0]), float(across[-1])]
-        ridge = place - _RIDGE * heights / heights.max()
-        if row.answers:
-            panel.fill_between(across, ridge, place, color=row.colour, alpha=0.35, linewidth=0.0)
-        panel.plot(across, ridge, color=row.colour, linewidth=0.7)
-        if row.withheld:
-            text = "withheld"
-        else:
-            interval = credible_interval(tree, row.draws)
-            panel.plot(
-                [interval["low"], interval["high"]],
-                [place, place],
-                color=row.colour,
-                linewidth=2.2,
-                solid_capstyle="butt",
-            )
-            panel.plot([interval["median"]], [place], color=row.colour, marker="|", markersize=7.0,
-                       markeredgewidth=1.4)  # fmt: skip
-            text = f"{middle(interval)}  ({bounds(interval)})"
-        texts.append((float(np.median(row.draws)), place, text))
-    low, high = min(ends_shown), max(ends_shown)
+        drawn.append((across[visible], heights[visible] / heights.max()))
+    low = min(float(across[0]) for across, _ in drawn)
+    high = max(float(across[-1]) for across, _ in drawn)
     if limit_rad is not None:
         limit = 1e3 * float(limit_rad)
         panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.LIMIT_DASHES)
@@ -192,7 +172,17 @@ def _draw_rows(
     # Draws of a withheld gap may all be the same.
     room = 0.05 * ((high - low) or abs(high) or 1.0)
     panel.set_xlim(low - room, high + room)
-    for at, place, text in texts:
+    for place, (row, (across, heights)) in enumerate(zip(rows, drawn, strict=True)):
+        ridge = place - _RIDGE * heights
+        if row.answers:
+            panel.fill_between(across, ridge, place, color=row.colour, alpha=0.35, linewidth=0.0)
+        panel.plot(across, ridge, color=row.colour, linewidth=0.7)
+        at, text = float(np.median(row.draws)), "withheld"
+        if not row.withheld:
+            interval = credible_interval(tree, row.draws)
+            panel.hlines(place, interval["low"], interval["high"], color=row.colour, linewidth=2.2)
+            panel.plot(interval["median"], place, "|", color=row.colour, ms=7.0, mew=1.4)
+            text = f"{middle(interval)}  ({bounds(interval)})"
         share = (at - low + room) / (high - low + 2.0 * room)
         side = "left" if share < 0.3 else "right" if share > 0.7 else "center"
         away = {"left": -12.0, "right": 12.0, "center": 0.0}[side]
@@ -200,12 +190,11 @@ def _draw_rows(
             text, (at, place), (away, -4.5), textcoords="offset points", ha=side, va="top",
             fontsize=7.0,
         )  # fmt: skip
-    panel.set_ylim(count - 0.45, -1.0)
+    panel.set(ylim=(count - 0.45, -1.0), xlabel=label)
     panel.set_yticks(range(len(rows)), [row.label for row in rows])
     panel.tick_params(axis="y", length=0.0)
     panel.spines["left"].set_visible(False)
     panel.grid(axis="x", color=style.NEUTRAL, alpha=0.15, linewidth=0.5)
-    panel.set_xlabel(label)
 
 
 THROUGH = "curve_amplitude_rpm"
@@ -236,8 +225,7 @@ def amplitude_to_gap(tree: xr.DataTree) -> Figure:
         _draw_snapshot(panel, tree, snapshot, index)
     _set_view(panel, tree, parts)
     style.limit_line(panel, tree)
-    panel.set_xlabel("Amplitude of the ringing A (rpm)")
-    panel.set_ylabel("Gap δ (mrad)")
+    panel.set(xlabel="Amplitude of the ringing A (rpm)", ylabel="Gap δ (mrad)")
     style.legend_over(figure, panel, 2)
     return figure
 
@@ -251,11 +239,10 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
         drawn[shown], 1e3 * gaps[shown], linestyle="none", marker=".", markersize=1.6,
         markeredgewidth=0.0, color=colour, alpha=0.45, zorder=2.0,
     )  # fmt: skip
-    amplitude = credible_interval(tree, drawn)
-    delta = credible_interval(tree, 1e3 * gaps)
+    amplitude, delta = credible_interval(tree, drawn), gap_interval(tree, snapshot)
     main.errorbar(
-        [amplitude["median"]],
-        [delta["median"]],
+        amplitude["median"],
+        delta["median"],
         xerr=style.reach(amplitude),
         yerr=style.reach(delta),
         capsize=2.0,
@@ -296,10 +283,8 @@ def wear(tree: xr.DataTree) -> Figure:
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group
     spec = style.grid(figure, 1, 2 if limited else 1, top=0.6)
-    panels, titles = (
-        [figure.add_subplot(spec[0, 0])],
-        ["gap and its path" + (" since the repair" if np.any(group["used"] == 0.0) else "")],
-    )
+    panels = [figure.add_subplot(spec[0, 0])]
+    titles = ["gap and its path" + (" since the repair" if np.any(group["used"] == 0.0) else "")]
     ahead = _years_ahead(group)
     _draw_gaps(panels[0], tree, group, ahead)
     if limited:
@@ -308,9 +293,8 @@ def wear(tree: xr.DataTree) -> Figure:
         _draw_limit_reached(panels[1], group, ahead)
     for panel in panels:
         locator = AutoDateLocator(minticks=3, maxticks=7)  # type: ignore[no-untyped-call]
-        panel.xaxis.set_major_locator(locator)
         formatter = ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
-        panel.xaxis.set_major_formatter(formatter)
+        panel.xaxis.set(major_locator=locator, major_formatter=formatter)
         panel.set_xlabel("Date")
     style.head_panels(panels, titles)
     style.legend_over(figure, panels[0])
@@ -376,16 +360,15 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
         panel.plot(shown, middle, color=style.MODEL, label="path, median")
     parts, used = snapshots(tree), group["used"].values
     every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
-    own = style.look(1)
     for index, (day, part) in enumerate(zip(every, parts, strict=True)):
         interval = gap_interval(tree, part)
         colour = gap_colour(part, 1) if used[index] or part.withheld else style.NEUTRAL
         panel.errorbar(
-            [day],
-            [interval["median"]],
+            day,
+            interval["median"],
             yerr=style.reach(interval),
             color=colour,
-            marker=own.marker,
+            marker=style.look(1).marker,
             markerfacecolor=colour if used[index] and not part.withheld else "white",
             linestyle="none",
             markersize=3.0,
@@ -416,8 +399,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     limit = 1e3 * float(tree.attrs.get("limit_rad", 0.0))
     highest = max(limit, *(interval["high"] for interval in gaps))
     room = (_HIGHEST_VIEW - 1.0) * highest
-    panel.set_ylim(max(0.0, lowest - 0.5 * room), highest + room)
-    panel.set_ylabel("Gap δ (mrad)")
+    panel.set(ylim=(max(0.0, lowest - 0.5 * room), highest + room), ylabel="Gap δ (mrad)")
 
 
 def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
@@ -438,5 +420,4 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
         )
     if panel.get_legend_handles_labels()[0]:
         panel.legend(loc="lower right")
-    panel.set_ylim(0.0, 1.03)
-    panel.set_ylabel("Probability")
+    panel.set(ylim=(0.0, 1.03), ylabel="Probability")
