@@ -8,6 +8,7 @@ a disagreement comes first.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeGuard
@@ -221,15 +222,14 @@ def _uses(route: RouteSummary) -> str:
 
 def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
     """Why another route has no answer, unless that is why this one answers."""
-    reasons: dict[tuple[str, str], list[str]] = {}
+    reasons = defaultdict[tuple[str, str], list[str]](list)
     for name, part in parts:
         listed = part["diagnostics"]["reasons"]
         causes = tuple(cause["text"] for one in listed for cause in one.get("because", ()))
         for route, other in part["routes"].items():
             reason = other["reason"]
-            if route == part["route"] or reason is None or reason["text"].startswith(causes):
-                continue
-            reasons.setdefault((route, reason["text"]), []).append(name)
+            if not (route == part["route"] or reason is None or reason["text"].startswith(causes)):
+                reasons[route, reason["text"]].append(name)
     for (route, why), names in reasons.items():
         yield f"No answer by {route_in_words(route)}{words.of(*names)}: {why}"
 
@@ -336,11 +336,10 @@ def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
 
     The names of the snapshots concerned come first.
     """
-    names: dict[tuple[str, str], list[str]] = {}
+    names = defaultdict[tuple[str, str], list[str]](list)
     for name, part in snapshots(summary):
         for reason in part["diagnostics"]["reasons"]:
-            label = "Withheld" if reason["withholds"] else "Note"
-            names.setdefault((label, reason["text"]), []).append(name)
+            names["Withheld" if reason["withholds"] else "Note", reason["text"]].append(name)
     for (label, sentence), whose in names.items():
         yield label, f"{', '.join(whose)}: {sentence}" if any(whose) else sentence
 
@@ -358,27 +357,23 @@ def sampler_check(check: SamplerCheckSummary) -> str:
 def _gap_table(summary: MeasuredSummary) -> Table:
     """A row for each snapshot and for the change; columns for each route."""
     parts = snapshots(summary)
-    named = ["Snapshot"] if summary["kind"] == "compare" else []
+    columns = ["Snapshot"] * (summary["kind"] == "compare")
     routes = [route["route"] for route in answering(parts[0][1])]
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
     kind = words.interval_kind(first or next(iter(parts[0][1]["parameters"].values())))
-    columns = [*named]
     for route in routes:
-        by = (
-            f"{words.capitalised(route_in_words(route).removeprefix('the '))}\n"
-            if len(routes) > 1
-            else "Gap "
-        )
+        way = words.capitalised(route_in_words(route).removeprefix("the "))
+        by = f"{way}\n" if len(routes) > 1 else "Gap "
         columns += [f"#{by}δ (mrad)", f"#{kind}\n(mrad)"]
     beside = _play_columns(parts[0][1])
     columns += [*beside, "Outcome"]
     rows = []
     for name, part in parts:
-        cells = [name] * len(named)
+        cells = [name] * (summary["kind"] == "compare")
         for own in (part["routes"][route] for route in routes):
             cells += words.gap_cells(own["delta_rad"], own["delta_upper_bound_rad"])
         cells += [shown(part) for shown in beside.values()]
-        rows.append([*cells, _outcome(part) if beside else part["diagnostics"]["outcome"]])
+        rows.append([*cells, _outcome(part)])
     if summary["kind"] == "compare":
         cells = ["change", *words.gap_cells(summary["change_rad"])]
         for route in routes[1:]:
@@ -391,7 +386,7 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     """The ringing of each snapshot: A, τ, ω, and how well the waveform fits."""
     from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
-    named = ["Ringing"] if summary["kind"] == "compare" else []
+    named = ["Ringing"] * (summary["kind"] == "compare")
     titles = ["#A\n(rpm)", "#τ\n(1/s)", "#1/τ\n(ms)", "#ω/2π\n(Hz)", "#RMSE\n(rpm)"]
     rows = []
     for name, part in snapshots(summary):
@@ -409,7 +404,7 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
             f"{ringing['rmse_rpm']:.2f} ({100.0 * ringing['relative_rmse']:.0f} %)",
             f"{ringing['noise']['sd_rpm']:.2f}",
         ]
-        rows.append([name] * len(named) + cells)
+        rows.append([*[name] * len(named), *cells])
     return table([*named, *titles, "#Noise sd\n(rpm)"], rows)
 
 
