@@ -117,32 +117,6 @@ def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:
     yield aside("bayesbl effects NAME shows one in full.")
 
 
-def entry(effect: Effect) -> Iterator[Block]:
-    """The full catalogue entry of an effect."""
-    yield Sentence(effect.name, "answer")
-    lines = {
-        "What": effect.sentence,
-        "Equation": effect.equation,
-        "Enters": effect.enters,
-        "Depends on": ", ".join(effect.depends_on).replace("_", " "),
-        "Repeats each load rotation": _repeats(effect),
-        "In the data": effect.data,
-        "Reference": effect.reference,
-    }
-    yield from labelled(lines)
-    rows = [
-        (item.name, item.unit or "1", *map(_plain, (item.low, item.high, item.neutral)))
-        for item in effect.parameters
-    ]
-    yield table(("Parameter", "Unit", "#Low", "#High", "#Off or default"), rows)
-    for item in effect.parameters:
-        yield Sentence(item.meaning, "aside", item.name)
-
-
-def _plain(value: float) -> str:
-    return f"{value:g}".replace("-", "−")
-
-
 _REPEATS = {
     "always": "yes",
     "whole_orders": "with a whole number of cycles per load rotation",
@@ -150,11 +124,31 @@ _REPEATS = {
 }
 
 
-def _repeats(effect: Effect) -> str:
-    answers = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
-    if len(set(answers.values())) == 1:
-        return next(iter(answers.values()))
-    return ", ".join(f"{name}: {answer}" for name, answer in answers.items())
+def entry(effect: Effect) -> Iterator[Block]:
+    """The full catalogue entry of an effect."""
+    repeats = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
+    answers = set(repeats.values())
+    if len(answers) > 1:
+        answers = {", ".join(f"{name}: {answer}" for name, answer in repeats.items())}
+    yield Sentence(effect.name, "answer")
+    lines = {
+        "What": effect.sentence,
+        "Equation": effect.equation,
+        "Enters": effect.enters,
+        "Depends on": ", ".join(effect.depends_on).replace("_", " "),
+        "Repeats each load rotation": answers.pop(),
+        "In the data": effect.data,
+        "Reference": effect.reference,
+    }
+    yield from labelled(lines)
+    rows = [
+        (item.name, item.unit or "1", *(f"{value:g}".replace("-", "−") for value in values))
+        for item in effect.parameters
+        for values in [(item.low, item.high, item.neutral)]
+    ]
+    yield table(("Parameter", "Unit", "#Low", "#High", "#Off or default"), rows)
+    for item in effect.parameters:
+        yield Sentence(item.meaning, "aside", item.name)
 
 
 _SHARE = re.compile(r"[\[(]\s*(%|‰|prozent|promille|per ?cent|per ?mille)", re.IGNORECASE)

@@ -119,32 +119,27 @@ def noise(part: RouteSummary) -> str:
 
 
 def _of_amplitude(part: RouteSummary, rivals: str) -> Iterator[Block]:
+    boxed = impacts = ""
+    if (optimum := part.get("box_search")) is not None:
+        boxed = (
+            f"the search ended at A = {optimum['amplitude_rpm']:.3g} rpm, RMSE "
+            f"{optimum['rmse_rpm']:.3g} rpm; eq. 4 there: "
+            f"{1e3 * optimum['gap_as_printed_rad']:.3g} mrad"
+        )
+    if (sd := part.get("impact_sd_rpm")) is not None:
+        least = f"{sd['low']:.2g} to " if sd["low"] > 0.0 else "at most "
+        impacts = f"differ from one another by {least}{sd['high']:.2g} rpm beyond noise"
     lines = {
         "Search": part.get("start"),
-        "Table 2's ranges": _box_search(part) if "box_search" in part else None,
+        "Table 2's ranges": boxed,
         "Fit": f"RMSE {part['rmse_rpm']:.3f} rpm, relative {part['relative_rmse']:.3f}",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
-        "Impacts": _impacts(part) if "impact_sd_rpm" in part else None,
+        "Impacts": impacts,
         "Noise": noise(part),
         "Sampling": words.sampling(part),
         "Rival optima": rivals,
     }
     yield from labelled(lines)
-
-
-def _impacts(part: RouteSummary) -> str:
-    low, high = part["impact_sd_rpm"]["low"], part["impact_sd_rpm"]["high"]
-    least = f"{low:.2g} to " if low > 0.0 else "at most "
-    return f"differ from one another by {least}{high:.2g} rpm beyond noise"
-
-
-def _box_search(part: RouteSummary) -> str:
-    optimum = part["box_search"]
-    return (
-        f"the search ended at A = {optimum['amplitude_rpm']:.3g} rpm, RMSE "
-        f"{optimum['rmse_rpm']:.3g} rpm; eq. 4 there: "
-        f"{1e3 * optimum['gap_as_printed_rad']:.3g} mrad"
-    )
 
 
 def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
@@ -160,7 +155,17 @@ def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
 def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     """Predictive check, noise and sampling of a simulation."""
     yield aside(BOUND_EXPLAINED)
-    yield _check_table(part)
+    orders = "#Orders of the\ncycle up to" if "motion" in part else "#Load orders\nup to"
+    rows = [
+        (
+            entry["channel"],
+            entry["highest_order"] or "mean",
+            words.significant(entry["ratio"], 3),
+            words.probability(entry["probability"]),
+        )
+        for entry in part["predictive_check"]
+    ]
+    yield table(("Channel", orders, "#Repeating\nover noise", "#Probability"), rows)
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
     yield aside(CHECK_EXPLAINED.format(turn))
     diagnostics = part["diagnostics"]
@@ -182,17 +187,3 @@ def _of_ramps(part: RouteSummary) -> Iterator[Block]:
     lines = {"Relative compliance": f"{shown}; probability of play: {sure}"}
     yield from labelled({**lines, "Sampling": words.sampling(part)})
     yield aside(RELATIVE_EXPLAINED)
-
-
-def _check_table(part: RouteSummary) -> Table:
-    orders = "#Orders of the\ncycle up to" if "motion" in part else "#Load orders\nup to"
-    rows = [
-        (
-            entry["channel"],
-            entry["highest_order"] or "mean",
-            words.significant(entry["ratio"], 3),
-            words.probability(entry["probability"]),
-        )
-        for entry in part["predictive_check"]
-    ]
-    return table(("Channel", orders, "#Repeating\nover noise", "#Probability"), rows)

@@ -11,12 +11,7 @@ from bayesbl.presentation.diagnosis import disagreement_table, effect_in_words
 from bayesbl.units import in_words
 
 if TYPE_CHECKING:
-    from bayesbl.identification.groups import (
-        IdentificationSummary,
-        ParameterSummary,
-        PriorSummary,
-        TogetherSummary,
-    )
+    from bayesbl.identification.groups import IdentificationSummary, TogetherSummary
     from bayesbl.identification.next_recording import NextRecordingSummary
 
 LITTLE = 0.1  # A parameter of which less is learned is no better known than from its data sheet
@@ -108,29 +103,19 @@ def assumptions(summary: IdentificationSummary) -> Iterator[str]:
 
 
 def _parameters(summary: IdentificationSummary) -> Table:
-    rows = [_row(name, parameter) for name, parameter in summary["parameters"].items()]
+    rows = []
+    for name, parameter in summary["parameters"].items():
+        prior, learned = parameter["prior"], max(0.0, 100.0 * parameter["learned"])
+        half = prior["high"] - prior["value"]
+        tolerance = f"± {words.significant(half, 2)}"
+        if prior["value"]:
+            tolerance = f"±{100.0 * half / abs(prior['value']):.0f} %"
+        sheet = f"{words.significant(prior['value'], 3)} {tolerance}"
+        found = words.with_ends(parameter["posterior"], 3)
+        rows.append((in_words(name), sheet, found, parameter["unit"], f"{learned:.0f} %"))
     level = next(iter(summary["parameters"].values()))["posterior"]["level"]
     identified = f"#Identified ({100.0 * level:g} % interval)"
     return table(("Parameter", "#Data sheet", identified, "Unit", "#Learned"), rows)
-
-
-def _row(name: str, parameter: ParameterSummary) -> tuple[str, ...]:
-    prior, posterior = parameter["prior"], parameter["posterior"]
-    low, middle, high = (words.significant(posterior[key], 3) for key in ("low", "median", "high"))
-    return (
-        in_words(name),
-        f"{words.significant(prior['value'], 3)} {_tolerance(prior)}",
-        f"{middle} ({low} to {high})",
-        parameter["unit"],
-        f"{max(0.0, 100.0 * parameter['learned']):.0f} %",
-    )
-
-
-def _tolerance(prior: PriorSummary) -> str:
-    half = prior["high"] - prior["value"]
-    if not prior["value"]:
-        return f"± {words.significant(half, 2)}"
-    return f"±{100.0 * half / abs(prior['value']):.0f} %"
 
 
 def _together(group: TogetherSummary) -> str:

@@ -73,9 +73,9 @@ def with_bounds(interval: Interval, unit: str, scale: float = 1.0) -> str:
     return f"{middle(interval, scale)} {unit} ({ends} {unit})"
 
 
-def with_ends(interval: Interval) -> str:
-    """``0.0052 (0.00054 to 0.020)``: two digits each, for values near zero."""
-    low, middle, high = (significant(interval[key]) for key in ("low", "median", "high"))
+def with_ends(interval: Interval, digits: int = 2) -> str:
+    """``0.0052 (0.00054 to 0.020)``: so many digits each, for values near zero."""
+    low, middle, high = (significant(interval[key], digits) for key in ("low", "median", "high"))
     return f"{middle} ({low} to {high})"
 
 
