@@ -139,8 +139,8 @@ def _print_lines(table: Table, console: Console) -> None:
 
     lines = Lines(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for i, column in enumerate(table.columns):
-        justify: Literal["left", "right"] = "right" if column.numeric else "left"
-        lines.add_column(Text(column.title), justify=justify, overflow="fold", no_wrap=i > 0)
+        side: Literal["left", "right"] = "right" if column.numeric else "left"
+        lines.add_column(Text(column.title), justify=side, overflow="fold", no_wrap=i > 0)
     for row in table.rows:
         lines.add_row(*map(Text, row))
     console.print(lines)
