@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import starmap
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
@@ -33,6 +33,9 @@ MOST_RIVALS = 2  # largest number of rivals that a headline names
 UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to state a share."
 
 USES = {"used": "fitted on", "held_out": "held out"}
+
+_Stage = Literal["before", "after", "noise_floor"]
+_STAGES: tuple[_Stage, ...] = get_args(_Stage)
 
 
 def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
@@ -90,15 +93,13 @@ def _size_in_short(effect: EffectSummary) -> str:
     parameters = dict(effect["parameters"])
     order = parameters.pop("order", None)
     name, size = next(iter(parameters.items()))
-    words_of_name = in_words(effect["name"])
-    if order is not None:
-        words_of_name += f" (order {_digits(order['median'])})"
-    sized_name = f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}"
+    of = "" if order is None else f" (order {_digits(order['median'])})"
+    text = f"{in_words(effect['name'])}{of} {_value(size, quantity_and_unit(name)[1])}"
     rivals = effect["indistinguishable_from"]
     alike = " or ".join(map(in_words, rivals))
     if len(rivals) > MOST_RIVALS:
         alike = f"one of {len(rivals)} others that look the same"
-    return f"{sized_name}, or {alike}" if alike else sized_name
+    return f"{text}, or {alike}" if alike else text
 
 
 def effect_in_words(effect: EffectSummary | EffectFound) -> str:
@@ -202,11 +203,8 @@ def suggestion(summary: DiagnosisSummary) -> Iterator[str]:
     recording = summary["suggested_recording"]
     if recording is None:
         return
-    load = (
-        ""
-        if recording["payload_share"] == 1.0
-        else f" with {recording['payload_share']:g} times the load"
-    )
+    share = recording["payload_share"]
+    load = "" if share == 1.0 else f" with {share:g} times the load"
     names = " and ".join(in_words(name) for name in recording["separates"][0][:2])
     yield (
         f"A recording at {recording['reference_speed_rpm']:g} rpm{load} would separate {names} "
@@ -245,15 +243,10 @@ def disagreement_table(summary: DisagreementTableSummary) -> Table:
         for name, channel, use, row in pieces
     ]
     rows += [("all", use, row) for use, row in summary["over_all"].items()]
-    cells = [
-        (
-            name,
-            USES[use],
-            *(_sized_rms(row, key) for key in ("before", "after", "noise_floor")),
-            removed(row["closed_fraction"]),
-        )
-        for name, use, row in rows
-    ]
+    cells = []
+    for name, use, row in rows:
+        each = [_sized_rms(row, key) for key in _STAGES]
+        cells.append((name, USES[use], *each, removed(row["closed_fraction"])))
     sizes = ("#Disagreement\nbefore", "#after", "#Noise", "#Removed")
     return table(("Recording", "Use", *sizes), cells)
 
@@ -275,7 +268,7 @@ def removed(closed: float | None) -> str:
     return "100 %" if shown == "100.0" else f"{shown} %"
 
 
-def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_floor"]) -> str:
+def _sized_rms(row: DisagreementSummary, key: _Stage) -> str:
     """``3.34 rpm``; over all channels ``4.2 × noise``."""
     unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
     return f"{significant(row[key], 3)}{unit}"

@@ -33,10 +33,9 @@ OUTCOMES = {
 
 def headline(summary: Row) -> str:
     """Number of joints and recordings, and of joints over their limit."""
-    counted = summary["recordings"]
+    counted, alarms = summary["recordings"], len(summary["alarms"])
     measured = sum(counted.get(outcome, 0) for outcome in _MEASURED)
-    alarms = len(summary["alarms"])
-    over = "None is" if alarms == 0 else "One is" if alarms == 1 else f"{alarms} are"
+    over = {0: "None is", 1: "One is"}.get(alarms, f"{alarms} are")
     return (
         f"{_count(summary['joints'], 'joint')}, {summary['with_rate']} with a rate of wear, from "
         f"{measured} of {_count(sum(counted.values()), 'recording')}. "
@@ -48,8 +47,7 @@ def types_in_words(summary: Row) -> Iterator[str]:
     """How the joints of each type wear."""
     for name, rates in summary["types"].items():
         rate = rates["median_rad_per_year"]
-        spread = rates["spread"]["median"]
-        factor = words.significant(math.exp(spread))
+        factor = words.significant(math.exp(rates["spread"]["median"]))
         law = max(rates["law"], key=lambda name: rates["law"][name])
         yield (
             f"{name}: the median joint wears by {words.middle(rate, 1e3)} mrad a year "
@@ -100,10 +98,9 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
     ]
     yield table(titles, rows)
     yield from map(Sentence, types_in_words(summary))
-    counted = summary["recordings"]
-    unmeasured = {k: n for k, n in counted.items() if k not in _MEASURED}
+    unmeasured = [(n, key) for key, n in summary["recordings"].items() if key not in _MEASURED]
     if unmeasured:
-        counts = ", ".join(f"{n} {OUTCOMES[outcome]}" for outcome, n in unmeasured.items())
+        counts = ", ".join(f"{n} {OUTCOMES[outcome]}" for n, outcome in unmeasured)
         yield Sentence(f"{counts}: see reason in recordings.parquet.", "warning", "Left out")
     if summary["alarms"]:
         names = ", ".join(summary["alarms"][:_SHOWN])
@@ -129,13 +126,9 @@ def interval_of(row: Row, name: str, summary: Row) -> Interval | None:
     """A quantity of a table's row as an interval, if the row has it."""
     if row[f"{name}_median"] is None:
         return None
-    return {
-        "median": row[f"{name}_median"],
-        "low": row[f"{name}_low"],
-        "high": row[f"{name}_high"],
-        "level": summary["level"],
-        "kind": summary["interval_kind"],
-    }
+    median, low, high = (row[f"{name}_{end}"] for end in ("median", "low", "high"))
+    level, kind = summary["level"], summary["interval_kind"]
+    return {"median": median, "low": low, "high": high, "level": level, "kind": kind}
 
 
 def in_mrad(row: Row, name: str, summary: Row) -> Cell:
