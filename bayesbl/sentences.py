@@ -171,13 +171,9 @@ def quantity_changed(
     places = max(0, 2 - math.floor(math.log10(max(abs(measured - expected), 1e-9))))
     before, after = number(expected, places), number(measured, places)
     return (
-        f"The {quantity} {direction} from {before} to {after} {unit}{_in(recording)}: "
-        f"{CAUSES[quantity]}, not the gap."
+        f"The {quantity} {direction} from {before} to {after} {unit}"
+        f"{f' in {recording}' if recording else ''}: {CAUSES[quantity]}, not the gap."
     )
-
-
-def _in(recording: str) -> str:
-    return f" in {recording}" if recording else ""
 
 
 CAUSES = {

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeGuard
 
 from bayesbl.presentation import wear, words
 from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
-from bayesbl.presentation.words import SURE, interval_kind, route_in_words
+from bayesbl.presentation.words import SURE, interval_kind
 from bayesbl.units import in_words as name_in_words
 from bayesbl.units import number, quantity_and_unit
 
@@ -201,10 +201,10 @@ def which(summary: MeasuredSummary) -> str | None:
     if len(first["routes"]) < 2 or summary["answer"]["code"] == "only_route":
         return None
     own = summary["answer"]
-    uses = "; ".join(f"{route_in_words(part['route'])} {_uses(part)}" for part in answering(first))
+    uses = "; ".join(f"{words.in_words(part['route'])} {_uses(part)}" for part in answering(first))
     because = own["text"].rstrip(".")
     return (
-        f"The answer is the estimate by {route_in_words(own['route'])}, because {because}. "
+        f"The answer is the estimate by {words.in_words(own['route'])}, because {because}. "
         f"{words.capitalised(uses)}."
     )
 
@@ -231,7 +231,7 @@ def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]
             if not (route == part["route"] or reason is None or reason["text"].startswith(causes)):
                 reasons[route, reason["text"]].append(name)
     for (route, why), names in reasons.items():
-        yield f"No answer by {route_in_words(route)}{words.of(*names)}: {why}"
+        yield f"No answer by {words.in_words(route)}{words.of(*names)}: {why}"
 
 
 def grew(value: float) -> str:
@@ -305,7 +305,7 @@ def budget(summary: MeasuredSummary) -> Iterator[str]:
     for name, part in snapshots(summary):
         shares = sorted(part["budget"].items(), key=lambda item: -item[1])
         each = [
-            f"{words.source_in_words(source)} {words.probability(share)}"
+            f"{words.in_words(source)} {words.probability(share)}"
             for source, share in shares
             if share >= words.RAREST and part["delta_rad"] is not None
         ]
@@ -362,7 +362,7 @@ def _gap_table(summary: MeasuredSummary) -> Table:
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
     kind = words.interval_kind(first or next(iter(parts[0][1]["parameters"].values())))
     for route in routes:
-        way = words.capitalised(route_in_words(route).removeprefix("the "))
+        way = words.capitalised(words.in_words(route).removeprefix("the "))
         by = f"{way}\n" if len(routes) > 1 else "Gap "
         columns += [f"#{by}δ (mrad)", f"#{kind}\n(mrad)"]
     beside = _play_columns(parts[0][1])

@@ -39,7 +39,7 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
     for name, part in answer.snapshots(summary):
         routes = answer.answering(part)
         for route in routes:
-            by = f", by {words.route_in_words(route['route'])}" if len(routes) > 1 else ""
+            by = f", by {words.in_words(route['route'])}" if len(routes) > 1 else ""
             yield Heading((f"Snapshot {name}" if name else "Fit") + by)
             yield parameter_table(route)
             if "cramer_rao_sd" in route:

@@ -31,7 +31,9 @@ def headline(summary: IdentificationSummary) -> str:
 
 def blocks(summary: IdentificationSummary) -> Iterator[Block]:
     """Gaps, parameters, what is only known together, the model error, what to record next."""
-    yield from map(Sentence, gaps(summary))
+    for name, gap in summary["gaps"].items():
+        if gap is not None:
+            yield Sentence(f"The gap in {name} is {words.in_mrad(gap)}.")
     yield _parameters(summary)
     yield from map(Sentence, map(effect_in_words, summary["effects"]))
     is_found = summary["outcome"] != "withheld"
@@ -56,13 +58,6 @@ def compared(summary: IdentificationSummary) -> str:
             "identified bench."
         )
     return "Before: the data sheet's values. After: the identified bench."
-
-
-def gaps(summary: IdentificationSummary) -> Iterator[str]:
-    """The gap of each recording."""
-    for name, gap in summary["gaps"].items():
-        if gap is not None:
-            yield f"The gap in {name} is {words.in_mrad(gap)}."
 
 
 def suggestion(recording: NextRecordingSummary) -> str:

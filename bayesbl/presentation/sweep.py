@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bayesbl.presentation.answer import GAP_EXPLAINED
 from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
-from bayesbl.presentation.words import percent, significant, source_in_words
+from bayesbl.presentation.words import in_words, percent, significant
 from bayesbl.units import number
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def curve_quality(summary: SweepSummary) -> Iterator[str]:
             f"({percent(fit['rms_departure'])} RMS)."
         )
     ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
-    each = ", ".join(f"{source_in_words(name)} {percent(sd)}" for name, sd in ordered)
+    each = ", ".join(f"{in_words(name)} {percent(sd)}" for name, sd in ordered)
     yield f"Largest standard deviation of δ along the curve, by source: {each}."
     yield (
         "At a given gap, A differs from that of the paper's eq. 4 by at most "

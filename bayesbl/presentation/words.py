@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 RAREST = 1e-3  # thousands of draws cannot show probabilities closer to 0 or 1
 SURE = 0.95  # probability from which something is shown; below 1 minus this, its opposite
 
-_SOURCES = {
+_WORDS = {
+    "amplitude": "the ringing",
+    "direct": "simulation",
+    "torque_ramp": "torque ramps",
+    "two_encoders": "two encoders",
     "noise": "noise of the recording",
     "start_angle": "start angle",
     "rounding": "rounding of the curve's coefficients",
@@ -125,22 +129,9 @@ def percent(value: float) -> str:
     return f"{significant(100.0 * value)} %"
 
 
-def source_in_words(source: str) -> str:
-    """A source of the interval's width in words."""
-    return _SOURCES.get(source, source.replace("_", " "))
-
-
-ROUTES = {
-    "amplitude": "the ringing",
-    "direct": "simulation",
-    "torque_ramp": "torque ramps",
-    "two_encoders": "two encoders",
-}
-
-
-def route_in_words(route: str) -> str:
-    """A route in words."""
-    return ROUTES.get(route, route.replace("_", " "))
+def in_words(name: str) -> str:
+    """A route, or a source of an interval's width, in words."""
+    return _WORDS.get(name, name.replace("_", " "))
 
 
 def curve_name(curve: str) -> str:

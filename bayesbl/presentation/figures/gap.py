@@ -28,14 +28,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import (
-    RAREST,
-    bounds,
-    curve_name,
-    middle,
-    probability,
-    route_in_words,
-)
+from bayesbl.presentation.words import RAREST, bounds, curve_name, in_words, middle, probability
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.store import summary_of
 from bayesbl.results.variables import STACKED
@@ -92,7 +85,7 @@ def _gap_rows(tree: xr.DataTree) -> list[_Row]:
     for index, name in enumerate(_names(tree)):
         for route in routes:
             snapshot, answers = each[route][index], route == routes[0]
-            label = [name] * answers + [f"by {route_in_words(route)}"] * (len(routes) > 1)
+            label = [name] * answers + [f"by {in_words(route)}"] * (len(routes) > 1)
             draws = 1e3 * snapshot.values("posterior", GAP).ravel()
             colour = gap_colour(snapshot, index)
             rows.append(_Row("\n".join(label), draws, colour, answers, snapshot.withheld))
@@ -122,7 +115,7 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
         draws = 1e3 * (last.values("posterior", GAP) - first.values("posterior", GAP)).ravel()
         withheld = summary["routes"][route]["change_rad"] is None
         colour = style.WITHHELD if withheld else style.NEUTRAL
-        rows.append(_Row(f"by {route_in_words(route)}", draws, colour, not rows, withheld))
+        rows.append(_Row(f"by {in_words(route)}", draws, colour, not rows, withheld))
     stored = tree["change"].to_dataset()
     for number, step in enumerate(summary["changes"] if len(names) > 2 else ()):
         draws = 1e3 * stored["step_change_rad"].values[number].ravel()

@@ -98,8 +98,7 @@ def publication_style() -> Iterator[None]:
     """Use these settings within the block, whatever the user's own are."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        for name, value in _RC.items():
-            mpl.rcParams[name] = value
+        mpl.rcParams.update(_RC)
         yield
 
 

@@ -16,7 +16,7 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
-from bayesbl.presentation.words import source_in_words
+from bayesbl.presentation.words import in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
@@ -180,9 +180,7 @@ def _draw_bands(
     knots = _values(tree, "curve/knots_rpm")
     for source, (low, high) in sorted(bands.items(), key=lambda item: -float(np.ptp(item[1]))):
         colour = _FILLS.get(source, "#f0e0c0")
-        panel.fill_between(
-            knots, low, high, color=colour, linewidth=0.0, label=source_in_words(source)
-        )
+        panel.fill_between(knots, low, high, color=colour, linewidth=0.0, label=in_words(source))
 
 
 @stored_figure(
