@@ -173,7 +173,8 @@ def _draw_rows(
         at, text = float(np.median(row.draws)), "withheld"
         if not row.withheld:
             interval = credible_interval(tree, row.draws)
-            panel.hlines(place, interval["low"], interval["high"], color=row.colour, linewidth=2.2)
+            ends = [interval["low"], interval["high"]]
+            panel.plot(ends, [place, place], color=row.colour, lw=2.2, solid_capstyle="butt")
             panel.plot(interval["median"], place, "|", color=row.colour, ms=7.0, mew=1.4)
             text = f"{middle(interval)}  ({bounds(interval)})"
         share = (at - low + room) / (high - low + 2.0 * room)
