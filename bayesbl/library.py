@@ -290,20 +290,6 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
 
 
 @checked
-def write_page(result: File) -> Path:
-    """Write ``report.html`` beside a stored result; its path.
-
-    Raises
-    ------
-    UserError
-        If there is no finished result.
-    """
-    from bayesbl.presentation.page.build import write_page as write
-
-    return write(result)
-
-
-@checked
 def draw(
     tree: Tree, folder: Path, formats: Formats = ("png",), study: Path | None = None
 ) -> list[Path]:

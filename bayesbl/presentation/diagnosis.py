@@ -274,13 +274,11 @@ def _sized_rms(row: DisagreementSummary, key: _Stage) -> str:
     return f"{significant(row[key], 3)}{unit}"
 
 
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions of a diagnosis."""
-    return (
-        "What is missing, if anything, is in the catalogue (bayesbl effects).",
-        "Noise does not repeat.",
-        "The other parameters are as the bench file says, within their tolerances.",
-    )
+ASSUMPTIONS = (
+    "What is missing, if anything, is in the catalogue (bayesbl effects).",
+    "Noise does not repeat.",
+    "The other parameters are as the bench file says, within their tolerances.",
+)
 
 
 def advice(summary: DiagnosisSummary) -> Advice:

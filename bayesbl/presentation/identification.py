@@ -89,12 +89,12 @@ def advice(summary: IdentificationSummary) -> Advice:
     return Advice("fine", "Measure with this bench.", sentences)
 
 
-def assumptions(summary: IdentificationSummary) -> Iterator[str]:
-    """Assumptions of an identification."""
-    yield "Each value has a normal prior around that of the data sheet, as wide as its tolerance."
-    yield "Each recording has a gap of its own."
-    yield "Nothing but the gap differs between the recordings: same controller and load."
-    yield "Noise does not repeat from one rotation to the next, and it is steady."
+ASSUMPTIONS = (
+    "Each value has a normal prior around that of the data sheet, as wide as its tolerance.",
+    "Each recording has a gap of its own.",
+    "Nothing but the gap differs between the recordings: same controller and load.",
+    "Noise does not repeat from one rotation to the next, and it is steady.",
+)
 
 
 def _parameters(summary: IdentificationSummary) -> Table:

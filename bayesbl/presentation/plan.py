@@ -69,12 +69,10 @@ def _plan_table(motions: list[PlannedEntry]) -> Table:
     return table(titles, rows)
 
 
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions of a plan."""
-    return (
-        "The joint behaves as its bench file says, within the tolerances given there.",
-        "Its noise is that of the bench file, and it starts from rest.",
-    )
+ASSUMPTIONS = (
+    "The joint behaves as its bench file says, within the tolerances given there.",
+    "Its noise is that of the bench file, and it starts from rest.",
+)
 
 
 def advice(summary: PlanSummary) -> Advice:

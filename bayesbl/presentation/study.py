@@ -34,9 +34,7 @@ def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> T
     return table((first, *(f"#{column}" for column in others)), rows)
 
 
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions of a study."""
-    return ("Each case has random numbers of its own, from the seed, the row and its number.",)
+ASSUMPTIONS = ("Each case has random numbers of its own, from the seed, the row and its number.",)
 
 
 def advice(summary: StudySummary) -> Advice:

@@ -92,13 +92,11 @@ def _degree_table(summary: SweepSummary) -> Table:
     return table(("#Degree", *departures, "#Log evidence\nbelow best", ""), rows)
 
 
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions for using the curve."""
-    return (
-        "The simulated bench is a two-mass drive whose only play is one gap.",
-        "The joint has the bench's parameters, within any tolerances.",
-        "Measured recordings are fitted as these simulated ones were.",
-    )
+ASSUMPTIONS = (
+    "The simulated bench is a two-mass drive whose only play is one gap.",
+    "The joint has the bench's parameters, within any tolerances.",
+    "Measured recordings are fitted as these simulated ones were.",
+)
 
 
 def advice(_: SweepSummary) -> Advice:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 from markupsafe import Markup
 
-from bayesbl.presentation import words
+from bayesbl.arguments import File, checked
+from bayesbl.presentation import answer, words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.console import SUBJECTS, all_bibtex, blocks, details, origin
 from bayesbl.presentation.figures.stored_figure import drawn
@@ -50,8 +51,9 @@ class Picture:
     """How wide it is drawn."""
 
 
-def write_page(result: str | Path) -> Path:
-    """Write ``report.html`` beside a stored result, over an earlier one.
+@checked
+def write_page(result: File) -> Path:
+    """Write ``report.html`` beside a stored result, over an earlier one; its path.
 
     Parameters
     ----------
@@ -90,6 +92,9 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     summary = summarise(tree)
     subject = SUBJECTS[summary["kind"]]
     headline, advice = subject.headline(summary), subject.advice(summary)
+    assumptions = (
+        answer.assumptions(summary) if answer.is_measured(summary) else subject.ASSUMPTIONS
+    )
     said = {headline, *advice.sentences}
     return {
         "title": TITLES[summary["kind"]],
@@ -98,7 +103,7 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "pictures": pictures,
         "numbers": [block for block in blocks(summary) if getattr(block, "text", "") not in said],
         "details": list(details(tree, summary)),
-        "assumptions": list(subject.assumptions(summary)),
+        "assumptions": list(assumptions),
         "config": tree.attrs.get("config", ""),
         "origin": list(origin(tree)),
         "bibtex": all_bibtex(),
