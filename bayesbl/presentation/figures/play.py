@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -43,12 +44,19 @@ def _panels(
     """A panel for each snapshot that the route with this group stores."""
     parts = snapshots(tree, group)
     lines = 2 if len(parts) == 1 and group == "loop" else 1
-    figure, axes = style.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * style.LINE_IN)
-    for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
+    above = (lines + 0.2) * style.LINE_IN  # for the legend
+    columns = min(len(parts), 2)
+    rows = math.ceil(len(parts) / columns)
+    width = style.SINGLE_COLUMN_IN if len(parts) == 1 else style.DOUBLE_COLUMN_IN
+    figure = style.new_figure(width, 2.6 * rows + 0.2 + above)
+    spec = style.grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35))
+    axes: list[Axes] = []
+    for index, snapshot in enumerate(parts):
+        shared = axes[0] if axes else None
+        panel = figure.add_subplot(spec[divmod(index, columns)], sharex=shared, sharey=shared)
         draw(panel, tree, snapshot, index)
-        panel.set_xlabel(labels[0])
-        if index % style.MOST_COLUMNS == 0:  # the axes are shared
-            panel.set_ylabel(labels[1])
+        panel.set(xlabel=labels[0], ylabel="" if index % columns else labels[1])
+        axes.append(panel)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     most = max(axes, key=lambda panel: len(panel.lines))
     style.legend_over(figure, most, 4 // lines)

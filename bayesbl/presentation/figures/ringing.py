@@ -208,11 +208,16 @@ class _Symbol(NamedTuple):
 
     @classmethod
     def of(cls, name: str, values: FloatArray) -> _Symbol:
-        values = 1e3 * values if name == style.GAP else values
+        label = "δ\n(mrad)"
+        if name == style.GAP:
+            values = 1e3 * values
+        else:  # as ``T$_{w}$``, above its unit
+            letter, _, index = SYMBOLS[name].paper.partition("_")
+            label = letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"
         low, high = np.quantile(values, _RANGE)
         margin = 0.08 * (high - low) or 1.0
         low, high = low - margin, high + margin
-        return cls(_label(name), float(low), float(high), _CELLS * (values - low) / (high - low))
+        return cls(label, float(low), float(high), _CELLS * (values - low) / (high - low))
 
     def ticks(self) -> list[tuple[float, str]]:
         """Position, in cells, and label of each tick."""
@@ -290,11 +295,3 @@ def _pair(up: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
     held = np.empty(smooth.size)
     held[order] = np.cumsum(smooth.ravel()[order]) / smooth.sum()
     return counts / counts.max(), held.reshape(smooth.shape)
-
-
-def _label(name: str) -> str:
-    """``T$_{w}$`` above its unit."""
-    if name == style.GAP:
-        return "δ\n(mrad)"
-    letter, _, index = SYMBOLS[name].paper.partition("_")
-    return letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"

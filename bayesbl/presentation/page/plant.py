@@ -142,18 +142,15 @@ def write_pages(folder: Path) -> list[Path]:
 def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
     """A row of the index."""
     return {
-        "name": row["joint"],
+        **row,
         "address": f"joints/{quote(str(row['joint']))}.html",
         "gearbox": row["gearbox"] or "",
-        "rank": row["rank"],
-        "alarm": row["alarm"],
         "gap": in_mrad(row, "delta_rad", summary),
         "rate": in_mrad(row, "rate_rad_per_year", summary),
         "limit": limit_reached(row),
         "passed": _cell(row["probability_limit_now"], words.probability),
         "cost": _cell(row["expected_cost"], _cost),
         "state": state(row, summary),
-        "reason": row["reason"] or "",
         "picture": picture(_given(recordings), row["limit_rad"]),
     }
 
