@@ -186,22 +186,18 @@ def what_next(path: Path, *, sound: bool, route: str = "") -> str:
     """Where the configuration was written, and what to do with it."""
     if not sound:
         return f"Written to {path}. It cannot run yet:"
-    correct = (
-        ". Correct columns there, and fill in gear_ratio, limit (when to repair) and bench (a file "
-        "that describes the joint; bayesbl init --bench writes one)"
+    bench = "bench (a file that describes the joint; bayesbl init --bench writes one)"
+    correct = {
+        "motion": ", for a motion, whose gap is measured with a bench. Correct columns there, and "
+        f"fill in {bench}",
+        "torque_ramp": ", for ramps of torque with the output held. Correct units and gear_ratio "
+        "there",
+        "two_encoders": ", for encoders of motor and load. Correct units there, fill in "
+        "gear_ratio if it is known",
+    }.get(
+        route,
+        ". Correct columns there, and fill in gear_ratio, limit (when to repair) and " + bench,
     )
-    if route == "motion":
-        correct = (
-            ", for a motion, whose gap is measured with a bench. Correct columns there, and fill "
-            "in bench (a file that describes the joint; bayesbl init --bench writes one)"
-        )
-    if route == "torque_ramp":
-        correct = ", for ramps of torque with the output held. Correct units and gear_ratio there"
-    if route == "two_encoders":
-        correct = (
-            ", for encoders of motor and load. Correct units there, fill in gear_ratio if it is "
-            "known"
-        )
     return f"Written to {path}{correct}, then: bayesbl run {shlex.quote(str(path))}"
 
 

@@ -61,15 +61,14 @@ def headline(summary: DiagnosisSummary) -> str:
                 share = removed(held_out["closed_fraction"])
                 gone = f": adding {them} removes {share} of the disagreement on held-out data"
             return capitalised(f"{'; '.join(names)} {are} missing from the bench{gone}.")
-        case "parameter_error" if "gap_withheld" in summary:
-            return (
-                "The bench is wrong by more than the search covers, or lacks an effect that is not "
-                f"in the catalogue: {next(parameter_errors(summary))}"
-            )
         case "parameter_error":
-            return "No effect is missing, but the bench is wrong: " + next(
-                parameter_errors(summary)
-            )
+            what = "No effect is missing, but the bench is wrong"
+            if "gap_withheld" in summary:
+                what = (
+                    "The bench is wrong by more than the search covers, or lacks an effect that is "
+                    "not in the catalogue"
+                )
+            return f"{what}: {next(parameter_errors(summary))}"
         case "unexplained" if (known := learned_of(summary)) is not None:
             return f"No known effect explains the disagreement. It looks like {dependence(known)}."
         case "unexplained" if summary["remaining"]:

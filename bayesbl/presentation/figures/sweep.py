@@ -53,22 +53,20 @@ def curve(tree: xr.DataTree) -> Figure:
     _draw_whole(whole, tree, papers)
     axes, titles = [whole], ["gap and amplitude"]
     if papers or wide:
-        far = figure.add_subplot(right[0, 0])
-        _draw_far(far, tree, papers)
-        far.tick_params(labelbottom=False)
-        axes.append(far)
+        axes.append(figure.add_subplot(right[0, 0]))
         titles.append("eq. 4 of the paper (dashed)" if papers else "tolerances")
-    close = figure.add_subplot(right[-1, 0])
-    _draw_close(close, tree)
-    axes.append(close)
+        _draw_far(axes[-1], tree, papers)
+        axes[-1].tick_params(labelbottom=False)
+    axes.append(figure.add_subplot(right[-1, 0]))
     titles.append("the sweep")
+    _draw_close(axes[-1], tree)
     amplitude = _values(tree, "curve/amplitude")
     for panel in axes[1:]:
         style.plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
         panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
         panel.yaxis.set_label_coords(-0.13, 0.5)
         panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.9, zorder=1.5)
-    close.set_xlabel("Amplitude of the ringing A (rpm)")
+    axes[-1].set_xlabel("Amplitude of the ringing A (rpm)")
     style.head_panels(axes, titles)
     return figure
 
@@ -158,11 +156,9 @@ def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
     )  # fmt: skip
     nominal = curve_from_dataset(stored, "")
     scatter = 100.0 * nominal.log_slope(knots) * stored["start_angle_sd_rpm"].values
-    for sign in (-1.0, 1.0):
-        panel.plot(
-            knots, sign * scatter, color=style.NEUTRAL, linewidth=0.7, linestyle=(0.0, (5.0, 2.0)),
-            label="start angle, ± 1 sd" if sign > 0.0 else None,
-        )  # fmt: skip
+    dashes = (0.0, (5.0, 2.0))
+    for edge, label in ((-scatter, None), (scatter, "start angle, ± 1 sd")):
+        panel.plot(knots, edge, color=style.NEUTRAL, lw=0.7, linestyle=dashes, label=label)
     panel.plot(
         sweep["amplitude_rpm"].values.ravel(), departures_from_curve(tree).ravel(),
         label="sweep points", **_POINTS,
