@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from bayesbl import __version__
@@ -38,18 +38,16 @@ if TYPE_CHECKING:
     from bayesbl.runs.kinds import Summary
 
 
-SUBJECTS: Mapping[str, ModuleType] = MappingProxyType(
-    {
-        "fit": answer,
-        "compare": answer,
-        "diagnose": diagnosis,
-        "identify": identification,
-        "sweep": sweep,
-        "plan": plan,
-        "study": study,
-        "fleet": fleet,
-    }
-)
+SUBJECTS: Mapping[str, ModuleType] = {
+    "fit": answer,
+    "compare": answer,
+    "diagnose": diagnosis,
+    "identify": identification,
+    "sweep": sweep,
+    "plan": plan,
+    "study": study,
+    "fleet": fleet,
+}
 """Module for each kind of result, with functions of the summary: ``headline`` (one sentence),
 ``blocks`` (everything below it) and ``advice``, and with ``ASSUMPTIONS``, which for measured gaps
 are a function too. A fleet has pages of its own and lacks the last two."""
