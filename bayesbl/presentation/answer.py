@@ -243,25 +243,22 @@ def shrinkage(summary: MeasuredSummary) -> str | None:
     """A sentence if a gap is smaller than before, and no repair is stated."""
     if summary["kind"] != "compare" or summary["change_rad"] is None:
         return None
-    dated = summary["wear"]
-    if dated is not None:
-        if dated["reason"] is not None and dated["reason"]["code"] in ("gap_shrank", "gap_fell"):
-            return dated["reason"]["text"]
-        return None
+    if (dated := summary["wear"]) is not None:
+        why = dated["reason"]
+        return why["text"] if why and why["code"] in ("gap_shrank", "gap_fell") else None
     shrank = summary["change_rad"]["high"] < 0.0 and wear.other_cause(summary) is None
     return SHRANK if shrank else None
 
 
 def steps(summary: MeasuredSummary) -> Iterator[str]:
     """Each change between neighbours, if there are more than two snapshots."""
-    if summary["kind"] != "compare":
+    if summary["kind"] != "compare" or len(summary["changes"]) == 1:
         return
-    changes, unless = summary["changes"], wear.unless(summary)
-    for step in changes if len(changes) > 1 else []:
+    for step in summary["changes"]:
         change, growth = step["change_rad"], step["probability_increase"]
         text = "withheld"
         if change is not None and growth is not None:
-            text = f"{words.in_mrad(change)}; {grew(growth)}{unless}"
+            text = f"{words.in_mrad(change)}; {grew(growth)}{wear.unless(summary)}"
         yield f"From {step['from']} to {step['to']}: {text}."
 
 
@@ -426,14 +423,9 @@ def advice(summary: MeasuredSummary) -> Advice:
         return _of_ringing(summary)
     if last["delta_rad"] is None:
         again = next((how for key, how in _AGAIN.items() if key in last), _LONGER)
-        return Advice(
-            "withheld",
-            "Do not decide from these recordings.",
-            (
-                *(why for label, why in reasons(summary) if label == "Withheld"),
-                f"Fix this, or record again, {again}; until then, decide without this measurement.",
-            ),
-        )
+        why = [sentence for label, sentence in reasons(summary) if label == "Withheld"]
+        why += [f"Fix this, or record again, {again}; until then, decide without this measurement."]
+        return Advice("withheld", "Do not decide from these recordings.", tuple(why))
     head = _verdict(summary, last)
     if shrinkage(summary) is not None and head.tone != "act":
         title = "Do not decide: are the files in order, or was the joint repaired?"
@@ -487,11 +479,9 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
 def _of_ringing(summary: MeasuredSummary) -> Advice:
     """Advice for a ringing without a gap curve."""
     if summary["kind"] == "compare" and not summary["same_joint"]["agrees"]:
-        return Advice(
-            "watch",
-            "Find out what changed besides the gap.",
-            (*(one["text"] for one in summary["same_joint"]["findings"]), _why(summary)),
-        )
+        found = [one["text"] for one in summary["same_joint"]["findings"]]
+        title = "Find out what changed besides the gap."
+        return Advice("watch", title, (*found, _why(summary)))
     grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
     title = "The ringing grew. To learn how much the gap grew, describe the joint in a bench file."
     if not grew:
@@ -541,8 +531,7 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
                 "same, unless a change is reported."
             )
         else:
-            same = "same joint, controller and load"
-            yield f"Only the gap changed between the snapshots: {same}."
+            yield "Only the gap changed between the snapshots: same joint, controller and load."
     interval = last["delta_rad"] or last["amplitude_rpm"]
     if interval is not None:
         yield (

@@ -78,11 +78,15 @@ def gap(tree: xr.DataTree) -> Figure:
 
 
 def _gap_rows(tree: xr.DataTree) -> list[_Row]:
-    """Rows by snapshot, the answering route first."""
+    """Rows by snapshot, with its date if it has one; the answering route first."""
     routes = [name for name in routes_of(tree) if holds(tree.children[name], f"posterior/{GAP}")]
     each = {route: stored_answers(tree, route) for route in routes}
+    names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
+    if "wear" in tree.children:
+        dates = map(Date.fromisoformat, map(str, tree["wear"].to_dataset()["date"].values))
+        names = [f"{name}, {day:%d %b %Y}" for name, day in zip(names, dates, strict=True)]
     rows = []
-    for index, name in enumerate(_names(tree)):
+    for index, name in enumerate(names):
         for route in routes:
             snapshot, answers = each[route][index], route == routes[0]
             label = [name] * answers + [f"by {in_words(route)}"] * (len(routes) > 1)
@@ -90,15 +94,6 @@ def _gap_rows(tree: xr.DataTree) -> list[_Row]:
             colour = gap_colour(snapshot, index)
             rows.append(_Row("\n".join(label), draws, colour, answers, snapshot.withheld))
     return rows
-
-
-def _names(tree: xr.DataTree) -> list[str]:
-    """Name of every snapshot, with its date if it has one."""
-    names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
-    if "wear" not in tree.children:
-        return names
-    days = [Date.fromisoformat(str(d)) for d in tree["wear"].to_dataset()["date"].values]
-    return [f"{name}, {day:%d %b %Y}" for name, day in zip(names, days, strict=True)]
 
 
 def _change_rows(tree: xr.DataTree) -> list[_Row]:

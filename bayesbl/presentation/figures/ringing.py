@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ from scipy.ndimage import gaussian_filter
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
-    each_snapshot,
     holding,
     interval_name,
     snapshots,
@@ -227,12 +226,19 @@ class _Symbol(NamedTuple):
         return [(scale * (value - self.low), f"{value:.10g}") for value in shown]
 
 
+def _each_snapshot(tree: xr.DataTree) -> Iterator[tuple[str, tuple[Snapshot]]]:
+    """One figure for each snapshot; that of a fit has no own name."""
+    for snapshot in snapshots(tree, "posterior/amplitude_rpm"):
+        name = f"_{snapshot.name}".replace(" ", "_")
+        yield name if tree.attrs["kind"] == "compare" else "", (snapshot,)
+
+
 @stored_figure(
     "The posterior of every free symbol, pair by pair: contours hold 50 % and 90 % of the draws, "
     "dashed lines are the median and the 5 % and 95 % quantiles; τ is a decay rate.",
     40,
     holding("posterior/amplitude_rpm"),
-    parts=each_snapshot("posterior/amplitude_rpm"),
+    parts=_each_snapshot,
 )
 def corner(snapshot: Snapshot) -> Figure:
     """Marginals on the diagonal, pairs below, for every free symbol and δ.
