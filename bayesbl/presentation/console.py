@@ -22,7 +22,7 @@ from bayesbl.presentation import (
     study,
     sweep,
 )
-from bayesbl.presentation.blocks import Block, Heading, Sentence, aside, labelled, table
+from bayesbl.presentation.blocks import Block, Sentence, aside, labelled, table
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.words import significant
 from bayesbl.recording.guessing import NO_UNIT, UNKNOWN
@@ -106,7 +106,7 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
     summary = summarise(tree)
     print_result(summary, None, console)
     print_blocks(details(tree, summary), console)
-    print_blocks([Heading("Origin"), *origin(tree)], console)
+    print_blocks([Sentence("Origin", "heading"), *origin(tree)], console)
 
 
 def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:

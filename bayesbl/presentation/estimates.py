@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import answer, words
-from bayesbl.presentation.blocks import Block, Heading, Table, aside, labelled, table
+from bayesbl.presentation.blocks import Block, Sentence, Table, aside, labelled, table
 from bayesbl.units import number, quantity_and_unit
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
         routes = answer.answering(part)
         for route in routes:
             by = f", by {words.in_words(route['route'])}" if len(routes) > 1 else ""
-            yield Heading((f"Snapshot {name}" if name else "Fit") + by)
+            yield Sentence((f"Snapshot {name}" if name else "Fit") + by, "heading")
             yield parameter_table(route)
             if "cramer_rao_sd" in route:
                 yield from _of_simulation(route)
