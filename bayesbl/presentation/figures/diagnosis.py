@@ -24,7 +24,7 @@ from bayesbl.units import in_words, unit_of
 if TYPE_CHECKING:
     from bayesbl.diagnosis.disagreement import DisagreementSummary, Use
     from bayesbl.diagnosis.groups import DiagnosisSummary
-    from bayesbl.identification.groups import IdentificationSummary, ParameterSummary
+    from bayesbl.identification.groups import IdentificationSummary
 
     Piece = tuple[str, str, Use, DisagreementSummary]
 
@@ -250,7 +250,18 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     place = style.grid(figure, 1, 1, left=1.55, right=1.75, top=0.35, bottom=0.45)
     panel = figure.add_subplot(place[0, 0])
     for line, entry in enumerate(parameters.values()):
-        _draw_parameter(panel, line, entry)
+        prior, posterior = entry["prior"], entry["posterior"]
+        value, median = prior["value"], posterior["median"]
+        scale = 100.0 / value if value else 1.0
+        low, high, *ends = (
+            scale * (one[end] - value) for one in (prior, posterior) for end in ("low", "high")
+        )
+        panel.barh(line, high - low, left=low, height=0.6, color=style.BAND, zorder=1)
+        panel.plot(ends, (line, line), color=style.MODEL, linewidth=1.4, zorder=2)
+        panel.plot(scale * (median - value), line, "o", color=style.MODEL, markersize=4.0, zorder=3)
+        unit = f" {entry['unit']}" if entry["unit"] else ""
+        text = f"{significant(median, 4)}{unit}, learned {max(0.0, 100.0 * entry['learned']):.0f} %"
+        panel.text(1.02, line, text, transform=panel.get_yaxis_transform(), va="center")
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6, zorder=0)
     panel.set_ylim(len(parameters) - 0.5, -0.5)
     panel.set_yticks(range(len(parameters)), [in_words(name).capitalize() for name in parameters])
@@ -265,23 +276,3 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     ]
     figure.legend(handles=handles, loc="upper left", ncols=2)
     return figure
-
-
-def _draw_parameter(panel: Axes, line: int, entry: ParameterSummary) -> None:
-    prior, posterior = entry["prior"], entry["posterior"]
-    scale = 100.0 / prior["value"] if prior["value"] else 1.0
-
-    def percent(value: float) -> float:
-        return scale * (value - prior["value"])
-
-    low, high = percent(prior["low"]), percent(prior["high"])
-    panel.barh(line, high - low, left=low, height=0.6, color=style.BAND, zorder=1)
-    ends = (percent(posterior["low"]), percent(posterior["high"]))
-    panel.plot(ends, (line, line), color=style.MODEL, linewidth=1.4, zorder=2)
-    panel.plot(percent(posterior["median"]), line, "o", color=style.MODEL, markersize=4.0, zorder=3)
-    unit = f" {entry['unit']}" if entry["unit"] else ""
-    learned = max(0.0, 100.0 * entry["learned"])
-    panel.text(
-        1.02, line, f"{significant(posterior['median'], 4)}{unit}, learned {learned:.0f} %",
-        transform=panel.get_yaxis_transform(), va="center",
-    )  # fmt: skip

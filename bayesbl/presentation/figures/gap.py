@@ -91,7 +91,7 @@ def _gap_rows(tree: xr.DataTree) -> list[_Row]:
             snapshot, answers = each[route][index], route == routes[0]
             label = [name] * answers + [f"by {in_words(route)}"] * (len(routes) > 1)
             draws = 1e3 * snapshot.values("posterior", GAP).ravel()
-            colour = gap_colour(snapshot, index)
+            colour = style.look(index).colour
             rows.append(_Row("\n".join(label), draws, colour, answers, snapshot.withheld))
     return rows
 
@@ -101,7 +101,6 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
     if "change" not in tree.children:
         return []
     summary = summary_of(tree)
-    names = [part["name"] for part in summary["snapshots"]]
     rows: list[_Row] = []
     for route in routes_of(tree):
         if not holds(tree.children[route], f"posterior/{GAP}"):
@@ -109,14 +108,12 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
         first, *_, last = stored_answers(tree, route)
         draws = 1e3 * (last.values("posterior", GAP) - first.values("posterior", GAP)).ravel()
         withheld = summary["routes"][route]["change_rad"] is None
-        colour = style.WITHHELD if withheld else style.NEUTRAL
-        rows.append(_Row(f"by {in_words(route)}", draws, colour, not rows, withheld))
-    stored = tree["change"].to_dataset()
-    for number, step in enumerate(summary["changes"] if len(names) > 2 else ()):
+        rows.append(_Row(f"by {in_words(route)}", draws, style.NEUTRAL, not rows, withheld))
+    stored, steps = tree["change"].to_dataset(), summary["changes"]
+    for number, step in enumerate(steps if len(steps) > 1 else ()):
         draws = 1e3 * stored["step_change_rad"].values[number].ravel()
-        withheld = step["change_rad"] is None
-        colour = style.WITHHELD if withheld else style.look(number + 1).colour
-        rows.append(_Row(f"{step['from']} to\n{step['to']}", draws, colour, True, withheld))
+        label, colour = f"{step['from']} to\n{step['to']}", style.look(number + 1).colour
+        rows.append(_Row(label, draws, colour, True, step["change_rad"] is None))
     return rows
 
 
@@ -161,16 +158,16 @@ def _draw_rows(
     room = 0.05 * ((high - low) or abs(high) or 1.0)
     panel.set_xlim(low - room, high + room)
     for place, (row, (across, heights)) in enumerate(zip(rows, drawn, strict=True)):
-        ridge = place - _RIDGE * heights
+        ridge, colour = place - _RIDGE * heights, style.WITHHELD if row.withheld else row.colour
         if row.answers:
-            panel.fill_between(across, ridge, place, color=row.colour, alpha=0.35, linewidth=0.0)
-        panel.plot(across, ridge, color=row.colour, linewidth=0.7)
+            panel.fill_between(across, ridge, place, color=colour, alpha=0.35, linewidth=0.0)
+        panel.plot(across, ridge, color=colour, linewidth=0.7)
         at, text = float(np.median(row.draws)), "withheld"
         if not row.withheld:
             interval = credible_interval(tree, row.draws)
             ends = [interval["low"], interval["high"]]
-            panel.plot(ends, [place, place], color=row.colour, lw=2.2, solid_capstyle="butt")
-            panel.plot(interval["median"], place, "|", color=row.colour, ms=7.0, mew=1.4)
+            panel.plot(ends, [place, place], color=colour, lw=2.2, solid_capstyle="butt")
+            panel.plot(interval["median"], place, "|", color=colour, ms=7.0, mew=1.4)
             text = f"{middle(interval)}  ({bounds(interval)})"
         share = (at - low + room) / (high - low + 2.0 * room)
         side = "left" if share < 0.3 else "right" if share > 0.7 else "center"
