@@ -193,15 +193,13 @@ CAUSES = {
 
 UNSEEN_WITHOUT_CURRENT = "the speed controller's gains, the torque constant and friction"
 
-_TOO_SMALL = "too small for these recordings to show"
-
 
 def change_unseen(quantity: str, share: float | None) -> str:
     """How much a quantity may change; ``None`` if noise hides it."""
     change = f"a change of the {quantity}, which one of the recordings does not show"
     if share is not None:
         change = f"a change of the {quantity} by less than {100.0 * share:.2g} %"
-    return f"{change} ({CAUSES[quantity]}; {_TOO_SMALL})"
+    return f"{change} ({CAUSES[quantity]}; too small for these recordings to show)"
 
 
 def parameter_unseen(name: str, size: float, expected: float, unit: str) -> str:

@@ -75,8 +75,7 @@ def held_out(tree: xr.DataTree, recording: str, use: Use) -> Figure:
         0.06 / style.DOUBLE_COLUMN_IN, 1.0 - 0.06 / (top + height), "\n".join(heading),
         va="top", linespacing=1.25,
     )  # fmt: skip
-    axes: list[Axes] = []
-    titles: list[str] = []
+    heads: dict[Axes, str] = {}
     window: tuple[float, float] | None = None
     for row, (channel, sizes) in enumerate(rms.items()):
         course = _compared(tree["signals"].to_dataset(), recording, use, channel)
@@ -85,12 +84,11 @@ def held_out(tree: xr.DataTree, recording: str, use: Use) -> Figure:
         zoom = figure.add_subplot(spec[row, 1])
         _draw_zoom(zoom, course, channel, window)
         name = CHANNELS.get(channel, channel)
-        axes += [maps[0], zoom]
-        titles += [f"{name}, recorded − simulated", "the tinted part"]
+        heads |= {maps[0]: f"{name}, recorded − simulated", zoom: "the tinted part"}
     every = figure.add_subplot(spec[:, 2])
     _draw_every(every, pieces)
-    style.head_panels([*axes, every], [*titles, "RMS over noise floor"])
-    handles, labels = axes[1].get_legend_handles_labels()
+    style.head_panels([*heads, every], [*heads.values(), "RMS over noise floor"])
+    handles, labels = zoom.get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="upper left", ncols=3, borderaxespad=0.0,
         bbox_to_anchor=(0.0, 1.0 - (0.08 + style.LINE_IN * len(heading)) / (top + height)),

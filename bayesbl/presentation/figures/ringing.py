@@ -41,8 +41,7 @@ def signal(tree: xr.DataTree) -> Figure:
     band = band.replace("HDI", "predictive band")
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
     spec = style.grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
-    heads: list[Axes] = []
-    titles: list[str] = []
+    heads: dict[Axes, str] = {}
     for row, snapshot in enumerate(parts):
         inner = spec[row, 0].subgridspec(
             2, 3, height_ratios=(2.4, 1.0), width_ratios=(2.3, 1.0, 1.0), hspace=0.08, wspace=0.16
@@ -53,8 +52,7 @@ def signal(tree: xr.DataTree) -> Figure:
         data = {name: snapshot.values("predictive", f"{name}_rpm") for name in names}
         data |= {"time": snapshot.time_s, "measured": snapshot.channel("motor_speed_rpm")}
         _draw_whole(upper, lower, data)
-        heads.append(upper)
-        titles.append(f"{snapshot.name}: whole recording")
+        heads[upper] = f"{snapshot.name}: whole recording"
         for column, positive in ((1, True), (2, False)):
             edges = start, stop = impact_window(snapshot, positive)
             begin, end = start - 0.4 * (stop - start), stop + 0.4 * (stop - start)
@@ -68,14 +66,13 @@ def signal(tree: xr.DataTree) -> Figure:
                     )
             for axes in (upper, lower):
                 style.shade(axes, begin, end)
-            heads.append(top)
-            titles.append("positive pulse" if positive else "negative pulse")
+            heads[top] = "positive pulse" if positive else "negative pulse"
         upper.set_ylabel("Motor speed (rpm)")
         lower.set_ylabel("Residual (rpm)")
         for axes in (upper, lower):
             axes.yaxis.set_label_coords(-0.125, 0.5)
-    style.head_panels(heads, titles)
-    style.legend_over(figure, heads[1])
+    style.head_panels(list(heads), list(heads.values()))
+    style.legend_over(figure, list(heads)[1])
     return figure
 
 
@@ -142,8 +139,7 @@ def overlay(tree: xr.DataTree) -> Figure:
     channels = [c for c in _CHANNELS if any(_has(part, c) for part in parts)]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _OVERLAY_IN * len(parts))
     spec = style.grid(figure, len(parts), len(channels), top=0.45, between=(0.55, 0.65))
-    heads: list[Axes] = []
-    titles: list[str] = []
+    heads: dict[Axes, str] = {}
     for row, snapshot in enumerate(parts):
         for column, channel in enumerate(channels):
             if not _has(snapshot, channel):
@@ -151,11 +147,10 @@ def overlay(tree: xr.DataTree) -> Figure:
             inner = spec[row, column].subgridspec(2, 1, height_ratios=(2.2, 1.0), hspace=0.08)
             (upper,), (lower,) = inner.subplots(sharex=True, squeeze=False)
             _draw_overlay(upper, lower, snapshot, channel)
-            heads.append(upper)
             moves = "flank_changes" in snapshot.group("predictive")
-            titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
-    style.head_panels(heads, titles)
-    style.legend_over(figure, heads[0])
+            heads[upper] = f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}"
+    style.head_panels(list(heads), list(heads.values()))
+    style.legend_over(figure, next(iter(heads)))
     return figure
 
 
