@@ -408,17 +408,12 @@ def watch_command(
         plant_config = load_run(config, kind="fleet")
         assert isinstance(plant_config, FleetConfig)
         output = plant_config.run.output
-        asked = Watched(
-            folder,
-            given["out"] or output.with_name(output.name + _WATCHED),
-            address,
-            read_credentials(given["credentials"]),
-            given["once"],
-            SETTLED_S if given["settled_s"] is None else given["settled_s"],
-        )
+        output = given["out"] or output.with_name(output.name + _WATCHED)
+        settled_s = SETTLED_S if given["settled_s"] is None else given["settled_s"]
+        credentials = read_credentials(given["credentials"])
+        asked = Watched(folder, output, address, credentials, given["once"], settled_s)
         _log(None if address is None else address.open_to_others)
-        table = asked.output / RECORDINGS_FILE
-        _log(f"Watching {folder}; each recording becomes a row of {table}.")
+        _log(f"Watching {folder}; each recording becomes a row of {output / RECORDINGS_FILE}.")
         with _ended_by_signals():
             watch(plant_config, asked, _log, _tell)
 

@@ -67,9 +67,8 @@ def signal(tree: xr.DataTree) -> Figure:
             for axes in (upper, lower):
                 style.shade(axes, begin, end)
             heads[top] = "positive pulse" if positive else "negative pulse"
-        upper.set_ylabel("Motor speed (rpm)")
-        lower.set_ylabel("Residual (rpm)")
-        for axes in (upper, lower):
+        for axes, label in ((upper, "Motor speed (rpm)"), (lower, "Residual (rpm)")):
+            axes.set_ylabel(label)
             axes.yaxis.set_label_coords(-0.125, 0.5)
     style.head_panels(list(heads), list(heads.values()))
     style.legend_over(figure, list(heads)[1])

@@ -79,16 +79,6 @@ def write_page_of(tree: xr.DataTree, path: Path, figures: Path | None = None) ->
 
 def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
     """The page as HTML; every text from a user is escaped."""
-    return templates().get_template("page.html").render(**_content(tree, pictures))
-
-
-def fragment(headline: str, blocks: Sequence[Block]) -> str:
-    """The answer as HTML without a style, for a notebook."""
-    macros: Any = templates().get_template("blocks.html").module
-    return f"<p><strong>{prose(headline)}</strong></p>{macros.blocks(blocks)}"
-
-
-def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     summary = summarise(tree)
     subject = SUBJECTS[summary["kind"]]
     headline, advice = subject.headline(summary), subject.advice(summary)
@@ -96,7 +86,7 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         answer.assumptions(summary) if answer.is_measured(summary) else subject.ASSUMPTIONS
     )
     said = {headline, *advice.sentences}
-    return {
+    content = {
         "title": TITLES[summary["kind"]],
         "headline": headline,
         "advice": advice,
@@ -108,6 +98,13 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "origin": list(origin(tree)),
         "bibtex": all_bibtex(),
     }
+    return templates().get_template("page.html").render(content)
+
+
+def fragment(headline: str, blocks: Sequence[Block]) -> str:
+    """The answer as HTML without a style, for a notebook."""
+    macros: Any = templates().get_template("blocks.html").module
+    return f"<p><strong>{prose(headline)}</strong></p>{macros.blocks(blocks)}"
 
 
 def _pictures(tree: xr.DataTree, stored: Path | None) -> Iterator[Picture]:
