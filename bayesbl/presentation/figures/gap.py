@@ -67,8 +67,7 @@ def gap(tree: xr.DataTree) -> Figure:
     )
     axes = [figure.add_subplot(spec[0, column]) for column in range(columns)]
     titles = [f"gap δ, {interval_name(tree)}"]
-    limit = tree.attrs.get("limit_rad")
-    _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", limit)
+    _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", tree.attrs.get("limit_rad"))
     if changes:
         _draw_rows(axes[1], tree, changes, len(changes), "Change of the gap δ (mrad)")
         axes[1].axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
