@@ -574,8 +574,7 @@ def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
         "These ramps show no play: the joint is stiffer around zero torque than at larger torque; "
-        f"{up_to}. "
-        f"Any gap δ that this hides is below {most} mrad."
+        f"{up_to}. Any gap δ that this hides is below {most} mrad."
     )
 
 

@@ -237,15 +237,12 @@ def disagreement_table(summary: DisagreementTableSummary) -> Table:
     """RMS of the model error by recording and channel, and over all."""
     pieces = list(compared_pieces(summary))
     several = len({channel for _, channel, *_ in pieces}) > 1
-    rows = [
-        (f"{name}, {CHANNELS.get(channel, channel)}" if several else name, use, row)
-        for name, channel, use, row in pieces
-    ]
-    rows += [("all", use, row) for use, row in summary["over_all"].items()]
+    pieces += [("all", "", use, row) for use, row in summary["over_all"].items()]
     cells = []
-    for name, use, row in rows:
+    for name, channel, use, row in pieces:
+        of = f", {CHANNELS.get(channel, channel)}" if several and channel else ""
         each = [_sized_rms(row, key) for key in _STAGES]
-        cells.append((name, USES[use], *each, removed(row["closed_fraction"])))
+        cells.append((name + of, USES[use], *each, removed(row["closed_fraction"])))
     sizes = ("#Disagreement\nbefore", "#after", "#Noise", "#Removed")
     return table(("Recording", "Use", *sizes), cells)
 

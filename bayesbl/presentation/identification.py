@@ -121,11 +121,12 @@ def _together(group: TogetherSummary) -> str:
             f"Only the product of {names[0]} and {names[1]} is known well: to {together} %, each "
             f"factor to {alone} %."
         )
-    listed = " / ".join(names) if len(names) == 2 else ", ".join(names)
-    ratio = "only the ratio" if len(names) == 2 else "only the ratios"
-    return words.capitalised(
-        f"{ratio} of {listed} {'is' if len(names) == 2 else 'are'} known well: to {together} % or "
-        f"better, each value to {alone} %. A factor common to all hardly changes these recordings."
+    ratio = f"ratio of {' / '.join(names)} is"
+    if len(names) > 2:
+        ratio = f"ratios of {', '.join(names)} are"
+    return (
+        f"Only the {ratio} known well: to {together} % or better, each value to {alone} %. A "
+        "factor common to all hardly changes these recordings."
     )
 
 

@@ -41,8 +41,7 @@ def blocks(summary: SweepSummary) -> Iterator[Block]:
     if fit is not None:
         yield Sentence(
             f"A {_KINDS.get(degree, f'polynomial of degree {degree}')} describes δ of the sweep "
-            f"within {percent(fit['largest_departure'])} "
-            f"({percent(fit['rms_departure'])} RMS)."
+            f"within {percent(fit['largest_departure'])} ({percent(fit['rms_departure'])} RMS)."
         )
     ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
     each = ", ".join(f"{in_words(name)} {percent(sd)}" for name, sd in ordered)
