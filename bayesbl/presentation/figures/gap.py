@@ -68,6 +68,7 @@ def gap(tree: xr.DataTree) -> Figure:
     axes = [figure.add_subplot(spec[0, column]) for column in range(columns)]
     titles = [f"gap δ, {interval_name(tree)}"]
     _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", tree.attrs.get("limit_rad"))
+    style.limit_line(axes[0], tree)
     if changes:
         _draw_rows(axes[1], tree, changes, len(changes), "Change of the gap δ (mrad)")
         axes[1].axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
@@ -147,7 +148,6 @@ def _draw_rows(
     high = max(float(across[-1]) for across, _ in drawn)
     if limit_rad is not None:
         limit = 1e3 * float(limit_rad)
-        panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.LIMIT_DASHES)
         panel.annotate(
             f"limit {limit:g}", (limit, -0.95), (-3.0, 0.0), textcoords="offset points",
             ha="right", va="top", fontsize=7.0,
