@@ -68,7 +68,6 @@ def gap(tree: xr.DataTree) -> Figure:
     axes = [figure.add_subplot(spec[0, column]) for column in range(columns)]
     titles = [f"gap δ, {interval_name(tree)}"]
     _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", tree.attrs.get("limit_rad"))
-    style.limit_line(axes[0], tree)
     if changes:
         _draw_rows(axes[1], tree, changes, len(changes), "Change of the gap δ (mrad)")
         axes[1].axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
@@ -175,6 +174,8 @@ def _draw_rows(
             text, (at, place), (away, -4.5), textcoords="offset points", ha=side, va="top",
             fontsize=7.0,
         )  # fmt: skip
+    if limit_rad is not None:  # above the densities
+        panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.LIMIT_DASHES)
     panel.set(ylim=(count - 0.45, -1.0), xlabel=label)
     panel.set_yticks(range(len(rows)), [row.label for row in rows])
     panel.tick_params(axis="y", length=0.0)
