@@ -344,16 +344,16 @@ def _run_options(
 ) -> Any:
     """The result object of options over a configuration."""
     from bayesbl.config.loading import config_from_options
+    from bayesbl.presentation import terminal
     from bayesbl.presentation.result_object import result_of
-    from bayesbl.presentation.terminal import make_console
-    from bayesbl.presentation.terminal import progress as bars
-    from bayesbl.runs.diagnose import diagnosis_of
     from bayesbl.runs.kinds import result_of_run
 
-    shown = bars(make_console(stderr=True)) if progress else nullcontext()
+    shown = terminal.progress(terminal.make_console(stderr=True)) if progress else nullcontext()
     loaded: RunConfig
     with _files(recordings, bench) as (files, of_bench), shown as tell:
         if kind == "diagnose" and files:
+            from bayesbl.runs.diagnose import diagnosis_of
+
             loaded, _ = diagnosis_of(files, config, bench=of_bench, **given)
         else:
             loaded = config_from_options(kind, files, config, dates, bench=of_bench, **given)

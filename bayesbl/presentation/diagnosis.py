@@ -76,15 +76,13 @@ def headline(summary: DiagnosisSummary) -> str:
             return f"Something repeats that no known effect explains: {what}"
         case verdict:
             used = summary["disagreement"]["over_all"].get("used")
-            if used is not None and (
-                verdict == "unexplained" or used["closed_fraction"] is not None
-            ):
-                after, noise = (_sized_rms(used, key) for key in ("after", "noise_floor"))
-                return (
-                    "No effect could be named: bench and recordings disagree by "
-                    f"{after}, and the noise is {noise}."
-                )
-            return "Nothing is missing: noise may cause all of the disagreement."
+            if used is None or (verdict != "unexplained" and used["closed_fraction"] is None):
+                return "Nothing is missing: noise may cause all of the disagreement."
+            after, noise = _sized_rms(used, "after"), _sized_rms(used, "noise_floor")
+            return (
+                f"No effect could be named: bench and recordings disagree by {after}, and the "
+                f"noise is {noise}."
+            )
 
 
 def _size_in_short(effect: EffectSummary) -> str:

@@ -103,14 +103,10 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
         counts = ", ".join(f"{n} {OUTCOMES[outcome]}" for n, outcome in unmeasured)
         yield Sentence(f"{counts}: see reason in recordings.parquet.", "warning", "Left out")
     if summary["alarms"]:
-        names = ", ".join(summary["alarms"][:_SHOWN])
-        more = len(summary["alarms"]) - _SHOWN
-        yield Sentence(
-            names + (f" and {more} others" if more > 0 else "") + ". At most 5 % of these are "
-            "expected to be false alarms.",
-            "warning",
-            "Flagged as over their limit",
-        )
+        names, more = ", ".join(summary["alarms"][:_SHOWN]), len(summary["alarms"]) - _SHOWN
+        others = f" and {more} others" if more > 0 else ""
+        why = f"{names}{others}. At most 5 % of these are expected to be false alarms."
+        yield Sentence(why, "warning", "Flagged as over their limit")
 
 
 @dataclass(frozen=True, slots=True)
