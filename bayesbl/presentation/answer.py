@@ -401,7 +401,7 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
             f"{ringing['rmse_rpm']:.2f} ({100.0 * ringing['relative_rmse']:.0f} %)",
             f"{ringing['noise']['sd_rpm']:.2f}",
         ]
-        rows.append([*[name] * len(named), *cells])
+        rows.append([name] * len(named) + cells)
     return table([*named, *titles, "#Noise sd\n(rpm)"], rows)
 
 

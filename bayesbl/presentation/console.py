@@ -126,7 +126,7 @@ def entry(effect: Effect) -> Iterator[Block]:
     """The full catalogue entry of an effect."""
     repeats = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
     answers = set(repeats.values())
-    if len(answers) > 1:
+    if len(answers) != 1:
         answers = {", ".join(f"{name}: {answer}" for name, answer in repeats.items())}
     yield Sentence(effect.name, "answer")
     lines = {
