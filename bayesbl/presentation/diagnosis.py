@@ -322,16 +322,21 @@ def unexplained_phrase(entry: RemainingSummary) -> str:
     """``motor current: 0.13 A at 7.3 Hz, periodic in time``."""
     size = f"{significant(entry['amplitude'])} {entry['unit']}"
     order, highest, hertz = entry["lowest_order"], entry["highest_order"], entry["frequency_hz"]
-    orders = f"order {order:.0f}" if order == highest else f"orders {order:.0f} to {highest:.0f}"
-    what = {
-        "offset": f"an offset of {size}",
-        "drift": f"a drift of {size}",
-        "load angle": f"{size} with the load angle, mostly at {orders}",
-        "motor angle": f"{size} at order {order:.4g} of the motor",
-        "time": f"{size} at {hertz:.4g} Hz, periodic in time",
-    }.get(
-        entry["dependence"],
-        f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do not "
-        "show which)",
-    )
+    match entry["dependence"]:
+        case "offset" | "drift" as kind:
+            what = f"{'an' if kind == 'offset' else 'a'} {kind} of {size}"
+        case "load angle":
+            orders = f"order {order:.0f}"
+            if order != highest:
+                orders = f"orders {order:.0f} to {highest:.0f}"
+            what = f"{size} with the load angle, mostly at {orders}"
+        case "motor angle":
+            what = f"{size} at order {order:.4g} of the motor"
+        case "time":
+            what = f"{size} at {hertz:.4g} Hz, periodic in time"
+        case _:
+            what = (
+                f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do "
+                "not show which)"
+            )
     return f"{CHANNELS.get(entry['channel'], entry['channel'])}: {what}"
