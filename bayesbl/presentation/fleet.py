@@ -55,18 +55,13 @@ def types_in_words(summary: Row) -> Iterator[str]:
             f"within a factor of {factor} of that ({rates['joints']} joints). "
             f"Most likely law: {LAWS[law]} ({words.probability(rates['law'][law])}). "
             f"Share of joints unlike the rest: {words.probability(rates['own']['median'])}."
-            + "".join(map(_factor, rates["covariates"].items()))
+            + "".join(
+                f" If {covariate} is larger by {words.significant(effect['sd'])}, a joint wears "
+                f"{words.significant(effect['factor']['median'])} times as fast "
+                f"({words.bounds(effect['factor'])})."
+                for covariate, effect in rates["covariates"].items()
+            )
         )
-
-
-def _factor(covariate: tuple[str, Row]) -> str:
-    name, effect = covariate
-    factor = effect["factor"]
-    more, times = words.significant(effect["sd"]), words.significant(factor["median"])
-    return (
-        f" If {name} is larger by {more}, a joint wears {times} times as fast "
-        f"({words.bounds(factor)})."
-    )
 
 
 def unlike_type(row: Row, summary: Row) -> str | None:
