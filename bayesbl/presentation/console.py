@@ -49,8 +49,8 @@ SUBJECTS: Mapping[str, ModuleType] = {
     "fleet": fleet,
 }
 """Module for each kind of result, with functions of the summary: ``headline`` (one sentence),
-``blocks`` (everything below it) and ``advice``, and with ``ASSUMPTIONS``, which for measured gaps
-are a function too. A fleet has pages of its own and lacks the last two."""
+``blocks`` (everything below it) and ``advice``; and with ``ASSUMPTIONS``, or for measured gaps the
+function ``assumptions``. A fleet has pages of its own and lacks the last two."""
 
 
 def blocks(summary: Summary) -> Iterator[Block]:
