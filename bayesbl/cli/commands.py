@@ -611,9 +611,25 @@ def cite_command() -> None:
     say(all_bibtex())
 
 
-_ORDER = """
-run check fit compare fleet watch collect simulate sweep diagnose plan identify
-effects figures report inspect export init cite
-"""
-COMMANDS: tuple[Callable[..., None], ...] = tuple(globals()[f"{n}_command"] for n in _ORDER.split())
+COMMANDS: tuple[Callable[..., None], ...] = (
+    run_command,
+    check_command,
+    fit_command,
+    compare_command,
+    fleet_command,
+    watch_command,
+    collect_command,
+    simulate_command,
+    sweep_command,
+    diagnose_command,
+    plan_command,
+    identify_command,
+    effects_command,
+    figures_command,
+    report_command,
+    inspect_command,
+    export_command,
+    init_command,
+    cite_command,
+)
 """In the order of the help."""
