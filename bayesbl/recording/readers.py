@@ -114,7 +114,7 @@ def _recording(
     table = table.without_values()
     rows = np.flatnonzero(np.isfinite(stamps))
     untimed = np.isnan(stamps) & np.isfinite(values).any(axis=1)
-    if untimed.mean() > MOST_LOST:
+    if untimed.sum() > MOST_LOST * untimed.size:
         raise RecordingError(
             "Rows have values but no time.",
             where=table.place(int(np.argmax(untimed)), time_column.name),

@@ -25,6 +25,13 @@ _LONGEST_ARRAY = 100
 _DEEPEST = 6
 
 
+class _Bytes(SimpleNamespace):
+    """A file in memory with the part of the path interface that rosbags uses."""
+
+    def __str__(self) -> str:
+        return str(self.name)
+
+
 def read(data: bytes) -> ArrayTable:
     """``JOINT/velocity`` of JointState and ``TOPIC/FIELD`` of other messages, each with its clock.
 
@@ -32,8 +39,7 @@ def read(data: bytes) -> ArrayTable:
     the times of recording, which a network makes uneven.
     """
     suffix = next(kind for mark, kind in _SUFFIXES.items() if data.startswith(mark))
-    # A file in memory with the part of the path interface that rosbags uses.
-    path: Any = SimpleNamespace(
+    path: Any = _Bytes(
         name=f"recording{suffix}",
         suffix=suffix,
         stat=lambda: SimpleNamespace(st_size=len(data)),
