@@ -123,7 +123,7 @@ def _recording(
         )
     values = held(values, repairs)
     for column, series in zip(others, values.T, strict=True):
-        if np.isnan(series).all():
+        if series.size and np.isnan(series).all():
             raise RecordingError(
                 "This column holds no number.",
                 where=f'column "{column.name}"',
