@@ -137,7 +137,7 @@ def _kind(whole: Schema, value: Schema) -> str:
     if "enum" in value:
         return ", ".join(f"`{json.dumps(v)}`" for v in value["enum"])
     if "$ref" in value:
-        return "a table"
+        return "table"
     match value.get("type"):
         case "array":
             items = value.get("prefixItems") or [value.get("items", {})]
@@ -146,11 +146,11 @@ def _kind(whole: Schema, value: Schema) -> str:
         case "object":
             inner = value.get("additionalProperties")
             is_typed = isinstance(inner, Mapping) and inner
-            return f"a table; each value is {_kind(whole, inner)}" if is_typed else "a table"
+            return f"table; values: {_kind(whole, inner)}" if is_typed else "table"
         case "string":
-            return {"path": "a path", "date": "a date"}.get(value.get("format", ""), "text")
+            return {"path": "path", "date": "date"}.get(value.get("format", ""), "text")
         case "boolean":
-            return "true or false"
+            return "boolean"
         case "number" | "integer" as number:
             bounds = [
                 f"{sign} {value[key]:g}"
@@ -162,8 +162,9 @@ def _kind(whole: Schema, value: Schema) -> str:
                 )
                 if key in value and abs(value[key]) < 1e18
             ]
-            what = "a whole number" if number == "integer" else "a number"
-            return f"{what} {' and '.join(bounds)}".rstrip()
+            if "minimum" in value and "maximum" in value:
+                return f"{number} from {value['minimum']:g} to {value['maximum']:g}"
+            return f"{number} {' and '.join(bounds)}".rstrip()
         case _:
             return "any"
 

@@ -52,10 +52,10 @@ HEAD = """# Keys, variables and columns of results
 
 `python docs/make_results.py` makes this page from the program's declarations.
 
-A result folder has `summary.json` (the answer), `result.nc` (everything, an xarray tree with units
-on every variable), `config.toml` (the configuration that was run) and `figures`. A fleet's folder
-has tables instead. A new run replaces only files that `manifest.json` lists. A withheld quantity is
-null, and `reason` says why. Keys in brackets exist only if they apply.
+A result folder has `summary.json` (the answer), `result.nc` (everything, an xarray tree), `config.toml`
+(the configuration that was run) and `figures`. A fleet's folder has tables instead. A new run
+replaces only files that `manifest.json` lists. A withheld quantity is null, and `reason` says why.
+Keys in brackets exist only if they apply. `[x]` is a list of x, `{x}` a table of x by name.
 """
 
 
@@ -120,12 +120,12 @@ def _value(hint: Any, parts: list[Any]) -> str:
     if get_origin(hint) is Literal:
         return ", ".join(f'`"{choice}"`' for choice in get_args(hint))
     if get_origin(hint) is list:
-        return f"list: {inner[0]}"
+        return f"[{inner[0]}]"
     if get_origin(hint) is dict:
-        return f"by name: {inner[1]}"
+        return f"{{{inner[1]}}}"
     if inner:
         return " or ".join(inner)
-    words = {str: "text", float: "number", int: "whole number", bool: "true or false"}
+    words = {str: "text", float: "number", int: "integer", bool: "boolean"}
     return words.get(hint, "null" if hint is type(None) else "any")
 
 
@@ -138,11 +138,10 @@ def _title(part: Any) -> str:
 def _variables() -> Iterator[str]:
     yield "## Variables of `result.nc`\n"
     yield (
-        "A row in bold begins the variables of a route or kind of result. In a comparison,\n"
-        "variables of a recording have a first dimension `snapshot`. Not listed are variables\n"
-        "named after a symbol, a parameter or a channel (their attributes `units` and `long_name`\n"
-        "explain them), the coordinates `chain` (number of the independent ensemble) and `draw`,\n"
-        "and coordinates ending in `_`, which repeat those without it.\n"
+        "In a comparison, variables of a recording have a first dimension `snapshot`. Not listed\n"
+        "are variables named after a symbol, a parameter or a channel, and coordinates that label\n"
+        "the dimension of their name (`chain`: the independent ensembles). The attributes `units`\n"
+        "and `long_name` explain every variable.\n"
     )
     listed: list[Group] = []
     sections: dict[str, list[str]] = {}
@@ -153,16 +152,24 @@ def _variables() -> Iterator[str]:
             _row(group, variable)
             for group in own
             for variable in (*group.variables, *group.coordinates)
-            if variable.name not in ("chain", "draw") and not variable.name.endswith("_")
+            if variable.dims != (variable.name,)
         ]
     times = Counter(row for rows in sections.values() for row in rows)
     yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
     yield "| **Of several routes** | | | |"
-    yield from (row for row, count in times.items() if count > 1)
+    yield from _merged(row for row, count in times.items() if count > 1)
     for title, rows in sections.items():
         yield f"| **{title}** | | | |"
-        yield from (row for row in rows if times[row] == 1)
+        yield from _merged(row for row in rows if times[row] == 1)
     yield ""
+
+
+def _merged(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """A line for all variables of a section that have the same cells."""
+    names: dict[str, list[str]] = {}
+    for name, cells in rows:
+        names.setdefault(cells, []).append(f"`{name}`")
+    yield from (f"| {', '.join(alike)} | {cells} |" for cells, alike in names.items())
 
 
 def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group]:
@@ -173,10 +180,11 @@ def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group
                 yield one
 
 
-def _row(group: Group, variable: Variable) -> str:
-    name, dimensions = f"`{group.name}/{variable.name}`", ", ".join(variable.dims)
-    cells = (name, dimensions, variable.unit, variable.meaning)
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+def _row(group: Group, variable: Variable) -> tuple[str, str]:
+    """The path of a variable, and the cells behind it."""
+    cells = (", ".join(variable.dims), variable.unit, variable.meaning)
+    text = " | ".join(cell.replace("|", chr(92) + "|") for cell in cells)
+    return f"{group.name}/{variable.name}", text
 
 
 def _columns() -> Iterator[str]:
