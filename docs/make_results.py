@@ -52,10 +52,11 @@ HEAD = """# Keys, variables and columns of results
 
 `python docs/make_results.py` makes this page from the program's declarations.
 
-A result folder has `summary.json` (the answer), `result.nc` (everything, an xarray tree), `config.toml`
-(the configuration that was run) and `figures`. A fleet's folder has tables instead. A new run
-replaces only files that `manifest.json` lists. A withheld quantity is null, and `reason` says why.
-Keys in brackets exist only if they apply. `[x]` is a list of x, `{x}` a table of x by name.
+A result folder has `summary.json` (the answer), `result.nc` (everything, an xarray tree),
+`config.toml` (the configuration that was run) and `figures`. A fleet's folder has tables instead. A
+new run replaces only files that `manifest.json` lists. A withheld quantity is null, and `reason`
+says why. Keys in brackets exist only if they apply. `[x]` is a list of x, `{x}` a table of x by
+name.
 """
 
 
@@ -155,21 +156,22 @@ def _variables() -> Iterator[str]:
             if variable.dims != (variable.name,)
         ]
     times = Counter(row for rows in sections.values() for row in rows)
-    yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
-    yield "| **Of several routes** | | | |"
+    yield "| variable (dimensions) | unit | meaning |\n|---|---|---|"
+    yield "| **Of several routes** | | |"
     yield from _merged(row for row, count in times.items() if count > 1)
     for title, rows in sections.items():
-        yield f"| **{title}** | | | |"
+        yield f"| **{title}** | | |"
         yield from _merged(row for row in rows if times[row] == 1)
     yield ""
 
 
-def _merged(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """A line for all variables of a section that have the same cells."""
-    names: dict[str, list[str]] = {}
-    for name, cells in rows:
-        names.setdefault(cells, []).append(f"`{name}`")
-    yield from (f"| {', '.join(alike)} | {cells} |" for cells, alike in names.items())
+def _merged(rows: Iterable[tuple[str, str, str]]) -> Iterator[str]:
+    """A line for all variables of a section that have the same dimensions and cells."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for name, dims, cells in rows:
+        names.setdefault((dims, cells), []).append(f"`{name}`")
+    for (dims, cells), alike in names.items():
+        yield f"| {', '.join(alike)} {dims}".rstrip() + f" | {cells} |"
 
 
 def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group]:
@@ -180,19 +182,21 @@ def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group
                 yield one
 
 
-def _row(group: Group, variable: Variable) -> tuple[str, str]:
-    """The path of a variable, and the cells behind it."""
-    cells = (", ".join(variable.dims), variable.unit, variable.meaning)
+def _row(group: Group, variable: Variable) -> tuple[str, str, str]:
+    """Path and dimensions of a variable, and the cells behind them."""
+    cells = (variable.unit, variable.meaning)
     text = " | ".join(cell.replace("|", chr(92) + "|") for cell in cells)
-    return f"{group.name}/{variable.name}", text
+    dims = f"({', '.join(variable.dims)})" if variable.dims else ""
+    return f"{group.name}/{variable.name}", dims, text
 
 
 def _columns() -> Iterator[str]:
     yield "## Columns of a fleet's tables\n"
     for file, columns in (("recordings", RECORDING_COLUMNS), ("joints", JOINT_COLUMNS)):
-        yield f"### `{file}.parquet`\n\n| column | type | meaning |\n|---|---|---|"
+        yield f"### `{file}.parquet`\n\n| column (type) | meaning |\n|---|---|"
         for about, names in groupby(columns, columns.__getitem__):  # neighbours alike: one row
-            yield f"| {', '.join(f'`{name}`' for name in names)} | {' | '.join(about)} |"
+            kind, meaning = about
+            yield f"| {', '.join(f'`{name}`' for name in names)} ({kind}) | {meaning} |"
         yield ""
 
 

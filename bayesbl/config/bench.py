@@ -317,8 +317,8 @@ def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
 class BeltSection(_Spring):
     """``[belt]``: a belt or elastic coupling between motor and gear; values at the motor.
 
-    ``motor_inertia_kg_m2`` under ``[parameters]`` is the whole inertia on the motor's side of the
-    gear; ``reducer_inertia_kg_m2`` is the part of it behind the belt.
+    ``reducer_inertia_kg_m2`` is the part behind the belt of ``motor_inertia_kg_m2`` under
+    ``[parameters]``, the whole inertia on the motor's side of the gear.
     """
 
     as_effect = ("belt", "reducer_inertia_kg_m2", "reducer_share", "motor_inertia_kg_m2")
@@ -341,8 +341,8 @@ class BeltSection(_Spring):
 class ArmSection(_Spring):
     """``[arm]``: an elastic arm or payload behind the load; values at the load.
 
-    ``load_inertia_kg_m2`` and ``gravity_torque_nm`` under ``[parameters]`` are those of the whole
-    load; ``inertia_kg_m2`` and ``gravity_share`` are the parts of these behind the spring.
+    ``inertia_kg_m2`` and ``gravity_share`` are the parts behind the spring of the whole load's
+    ``load_inertia_kg_m2`` and ``gravity_torque_nm`` under ``[parameters]``.
     """
 
     as_effect = ("arm", "inertia_kg_m2", "inertia_share", "load_inertia_kg_m2")
@@ -395,9 +395,9 @@ class EffectEntry(Section):
 
     A digital drive has ``sampled_control``, with the period of its speed controller:
     ``parameters = {period_s = {value = 250e-6}}``. Its torque acts ``delay_periods`` after it reads
-    the encoder: 1, or 17 with a further dead time of 4 ms. It uses the encoder's difference over a
-    period as speed, or with ``instant_share = 1`` the speed at the sampling instant. If you state
-    no delay, the direct route and ``identify`` fit both, starting from 1 and a difference.
+    the encoder: 1, or 17 with a further dead time of 4 ms. Its speed is the difference of the
+    encoder over a period, or with ``instant_share = 1`` the speed at the sampling instant. If you
+    state no delay, the direct route and ``identify`` fit both, starting from 1 and a difference.
     """
 
     name: Annotated[str, AfterValidator(effect_name)]
@@ -421,12 +421,12 @@ class _LearnedSection(Section):
 
 
 class LearnedTorqueSection(_LearnedSection):
-    """``[learned_torque]``: a torque that repeats in recordings and that no effect explains.
+    """``[learned_torque]``: a repeating torque that no effect explains.
 
     It acts against the motor or the load, in N m there: constant_nm + Σ_k cosine_nm[k]
     cos(2π k x/period) + sine_nm[k] sin(2π k x/period), with the variable x; if it ``reverses``,
-    times the sign of the motor's speed. ``period`` is in rad, rad/s or s. ``sd_nm`` has the
-    standard deviations of constant, cosines and sines.
+    times the sign of the motor's speed. ``period`` is in rad, rad/s or s. ``sd_nm``: standard
+    deviations of constant, cosines and sines.
     """
 
     side: Side
@@ -443,8 +443,8 @@ class EncoderErrorSection(_LearnedSection):
     """``[encoder_error]``: the angle that the motor's encoder shows, minus the true one.
 
     With the motor's angle θ, in rad and inside the speed loop: Σ_k cosine_rad[k] cos(2π k
-    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad). ``sd_rad`` has the standard deviations of
-    cosines and sines.
+    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad). ``sd_rad``: standard deviations of cosines
+    and sines.
     """
 
     period: float = Field(gt=0.0, alias="period_rad")

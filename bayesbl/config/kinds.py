@@ -126,8 +126,8 @@ MotionSection = Annotated[
 class SimulatedRecording(Section):
     """A recording to simulate: in steady rotation, or in a ``motion``.
 
-    A ``motion`` is a table with its ``kind``: ``strokes``, ``cycle``, ``sine`` or ``torque_ramp``.
-    A start angle that is not given is drawn. ``truth_file`` names a file for what was simulated.
+    The ``kind`` of a ``motion`` is ``strokes``, ``cycle``, ``sine`` or ``torque_ramp``. A start
+    angle that is not given is drawn. ``truth_file`` names a file for the true values.
     """
 
     name: Name
@@ -210,12 +210,12 @@ def _table(value: object, info: ValidationInfo) -> object:
 
 
 class FleetSection(Section):
-    """``[fleet]``: inventory, recordings, and how joints share information.
+    """``[fleet]``: inventory and recordings.
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
-    ``joint``, ``date`` and ``file``. ``pool_by`` is a column of the inventory: joints with the same
-    entry share information. Without it every joint counts by itself. ``covariates`` are columns of
-    numbers, such as a load, on which the rates of joints of one type may depend.
+    ``joint``, ``date`` and ``file``. Joints with the same entry in ``pool_by``, a column of the
+    inventory, share information. ``covariates`` are columns of numbers, such as a load, that may
+    affect the rates.
     """
 
     joints: Annotated[InputPath, BeforeValidator(_table)]
@@ -243,7 +243,7 @@ class FleetSection(Section):
 class FleetEstimator(Section):
     """``[estimator]`` of a fleet: as in a comparison, but the inventory states bench and curve.
 
-    ``route`` applies to joints with a bench; the others are measured by the amplitude route.
+    ``route`` applies to joints with a bench; others use the amplitude route.
     """
 
     route: Literal["auto", "amplitude", "direct"] = "auto"
@@ -316,11 +316,11 @@ def word_or_names(
 class Compared(Section):
     """``[comparison]``: how simulation and recordings are compared.
 
-    Without ``channels``, the method uses all that the recordings have. ``known_torque`` names
-    columns (N m at the motor) that are added to the torque that the bench needs. ``cutoff_hz``
-    belongs to the zero-phase filter that both sides of the inverse method pass; the default is the
-    frequency at which prediction and measurement lose coherence. ``load_angle_known`` and
-    ``motor_angle_known`` say that the recorded position is absolute.
+    Without ``channels``, all recorded ones are compared. ``known_torque`` names columns (N m at the
+    motor) that are added to the torque that the bench needs. ``cutoff_hz`` is for the zero-phase
+    filter of both sides of the inverse method; by default, it is the frequency at which prediction
+    and measurement lose coherence. ``load_angle_known`` and ``motor_angle_known`` say that the
+    recorded position is absolute.
     """
 
     method: Method = "forward"
@@ -363,7 +363,7 @@ class Candidates(Section):
     """``[candidates]``: effects that may be named, and how many.
 
     The default of ``max_effects`` is three in the closed loop, where each costs many simulations,
-    else six. ``false_alarm``: how often noise passes for a line in the speed of a rigid drive.
+    else six. ``false_alarm``: how often noise counts as a line in the speed of a rigid drive.
     """
 
     effects: Annotated[
@@ -533,8 +533,8 @@ class Identify(Section):
     """``[identify]``: what is fitted besides gap and start angles.
 
     ``parameters``: all that have a tolerance in the bench, or some of these by name. ``effects``:
-    effects to fit, by name; with ``"catalogue"``, those that the recordings show are added if the
-    bench cannot explain them. ``gap_rad``: range of the gap's log-uniform prior.
+    effects to fit, by name; ``"catalogue"`` adds those that the recordings show if the bench cannot
+    explain them. ``gap_rad``: range of the gap's log-uniform prior.
     """
 
     parameters: _Parameters = "toleranced"

@@ -168,14 +168,13 @@ StatedLimit = Annotated[Limit, AfterValidator(_of_a_gap)]
 
 
 class Joint(Section):
-    """``[joint]``: what you know about the joint itself.
+    """``[joint]``: what you know about the joint.
 
-    ``drift``: a relative standard deviation for each bench parameter or effect that may drift
-    between the first snapshot and each later one. It replaces the default; 0 means no drift. The
-    interval of the change includes it. ``rated_torque_nm`` is at the output: lost motion is stated
-    at 3 % of it. ``limit_rad`` is a limit of δ in rad; ``limit`` is one of δ, play or lost motion
-    in the unit of a data sheet. ``upright``: gravity does not turn the joint, because its axis is
-    vertical or its load is balanced.
+    ``drift``: the relative standard deviation by which each bench parameter or effect may drift
+    from the first snapshot to each later one, instead of the default; 0 means no drift. Lost motion
+    is stated at 3 % of ``rated_torque_nm``, at the output. ``limit_rad`` is a limit of δ in rad;
+    ``limit`` is one of δ, play or lost motion in the unit of a data sheet. ``upright``: gravity
+    does not turn the joint, because its axis is vertical or its load is balanced.
     """
 
     gear_ratio: Positive | None = None
@@ -207,7 +206,7 @@ class Search(Section):
     """``[estimator.search]``: how the optimum is found.
 
     ``start_from`` is an earlier result whose optimum starts the search. ``paper`` also searches
-    eq. 6 in the ranges of Table 2, exactly as printed.
+    eq. 6 in the ranges of Table 2, as printed.
     """
 
     method: Literal["guess", "paper"] = "guess"
@@ -291,7 +290,7 @@ class Curve(Section):
     """``[curve]``: the gap curve. ``source`` is the result of a sweep, or ``"published"``.
 
     Without a source, the curve is swept from the estimator's bench; without a bench there is no δ.
-    A source takes precedence over the bench; the direct route ignores it.
+    The direct route ignores a source.
     """
 
     source: CurveSource | None = None
@@ -319,11 +318,11 @@ class MeasuredRecording(SnapshotRecording):
 
 
 class WearOverDates(Section):
-    """``[wear]``: what you know about wear apart from the recordings.
+    """``[wear]``: what you know about wear.
 
-    ``relative_sd_per_date``: how far temperature, grease or the torque constant may move the
-    measured gap of each date, as a relative standard deviation. ``in_service_since``: when the
-    joint, or the part that its last repair replaced, went into service.
+    ``relative_sd_per_date``: relative standard deviation by which temperature, grease or the torque
+    constant may move the measured gap from date to date. ``in_service_since``: when the joint, or
+    the part that its last repair replaced, went into service.
     """
 
     relative_sd_per_date: float = Field(default=0.0, ge=0.0, le=0.5)

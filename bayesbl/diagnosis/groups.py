@@ -93,7 +93,7 @@ class LearnedDependence(TypedDict):
 class LearnedSummary(LearnedDependence):
     """A torque without a known law, or an error of the encoder.
 
-    ``amplitude_nm``, ``amplitude_rad``: largest value at its side. ``alike``: other dependences
+    ``amplitude_nm``, ``amplitude_rad``: largest value, at its side. ``alike``: other dependences
     that these recordings do not distinguish from it.
     """
 
