@@ -142,6 +142,8 @@ def _kind(whole: Schema, value: Schema) -> str:
         case "array":
             items = value.get("prefixItems") or [value.get("items", {})]
             inner = [_kind(whole, item) for item in items]
+            if len(inner) == 2 and len(set(inner)) == 1:
+                return f"[low, high], each a {inner[0]}"
             return f"[{', '.join(inner)}{'' if 'prefixItems' in value else ', …'}]"
         case "object":
             inner = value.get("additionalProperties")

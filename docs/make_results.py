@@ -76,13 +76,13 @@ def _keys() -> Iterator[str]:
     for title, table in ({"every kind": Head} | summaries).items():
         yield f"| {title} | {_keys_of(table, parts)} |"
     yield "\nThe parts, whose names are in italics above:\n"
-    yield "| part | what it is | keys |\n|---|---|---|"
+    yield "| part | keys |\n|---|---|"
     rows = [  # parts grow on the way
         (_title(part), _plain(part.__doc__ or UNNAMED[_title(part)]), _keys_of(part, parts))
         for part in parts
     ]
-    for row in sorted(rows):
-        yield f"| {' | '.join(row)} |"
+    for name, text, keys in sorted(rows):
+        yield f"| **{name}**: {text} | {keys} |"
     yield ""
 
 

@@ -133,14 +133,13 @@ JOINT_COLUMNS = _columns("""
     probability_limit_now | double | probability that the gap was above its limit at the last date
     probability_wear | double | probability that the gap has grown since the first date; without
         pooling
-    rate_rad_per_year_median/low/high/sd | double | mean rate over the dates in use, rad/year; uses
-        other joints if pooled is true
+    rate_rad_per_year_median/low/high/sd | double | mean rate over the dates in use, rad/year
     rate_alone_rad_per_year_median/low/high | double | rate from this joint's recordings only,
         rad/year
-    pooled | bool | whether rate and date use other joints of its type
+    pooled | bool | whether rate, law and date use other joints of its type
     probability_unlike_type | double | probability that it does not wear like its type; null
         if its type is unknown
-    law | string | likeliest law of wear; uses other joints if pooled is true
+    law | string | likeliest law of wear
     limit_date_median/low/high | string | when the gap reaches the limit; null: not in 1000 years
     limit_date_not_before | string | one-sided bound, at the interval's level
     probability_limit_before | double | probability that the limit is reached before [fleet]

@@ -92,10 +92,10 @@ class BeyondSummary(TypedDict):
 
 
 class TogetherSummary(TypedDict):
-    """Parameters known together far better than alone: by the ratios of all, or the product of two.
+    """Parameters known far better together than alone: by the ratios of all, or the product of two.
 
-    ``alone_sd`` is the largest relative standard deviation of one of them, ``together_sd`` that of
-    their ratios or product.
+    ``alone_sd``: largest relative standard deviation of one; ``together_sd``: that of their ratios
+    or product.
     """
 
     parameters: list[str]
