@@ -92,7 +92,7 @@ def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) ->
     unused = [name for name, value in options.items() if value is not None]
     if unused:
         raise ConfigError(
-            "This option does not go with a simulation.",
+            "This option cannot be used with a simulation.",
             file=config,
             where=f"--{unused[0]}",
             found=options[unused[0]],

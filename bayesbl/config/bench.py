@@ -534,7 +534,7 @@ class BenchFile(Section):
         except ZeroDivisionError:
             name = next(name for name in units if printed[name] == 0.0)
             raise BenchError(
-                "Nothing can be converted from zero here.",
+                "Zero cannot be converted from this unit.",
                 where=name,
                 found=f'0 in "{units[name]}"',
                 expected="a number above zero",

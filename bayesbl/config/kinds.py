@@ -85,7 +85,7 @@ class CycleMotion(_PointToPoint):
             abs(b - a) < SHORTEST_WAY_RAD for a, b in zip(points, following, strict=True)
         ):
             refuse(
-                "A cycle goes from each point to another.",
+                "Successive points of a cycle must differ.",
                 found=list(points),
                 expected="two load angles or more in rad, each different from the one before",
             )
@@ -193,7 +193,7 @@ def _source_of_recordings(value: object, info: ValidationInfo) -> str:
         return str(resolve(value, info))
     if places or "*" in value:
         refuse(
-            "This pattern does not say which joint and which date a file is of.",
+            "This pattern does not contain the joint and the date of a file.",
             expected='{joint} and {date} once each, as in "data/{joint}/{date}.csv", or a table '
             "with the columns joint, date and file",
         )
@@ -227,7 +227,7 @@ class FleetSection(Section):
     def require_sound(self) -> None:
         if self.covariates and self.pool_by is None:
             refuse(
-                "What rates depend on is learned from joints of one type.",
+                "Covariates are learned from joints of one type.",
                 found="covariates without pool_by",
                 expected='pool_by as well, e.g. "gearbox"',
                 at=("covariates",),

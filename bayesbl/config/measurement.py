@@ -80,10 +80,14 @@ class Limit(Section):
     def require_sound(self) -> None:
         if (self.unit == "mm") != (self.at_m is not None):
             actual = "no radius" if self.at_m is None else f"a radius with {self.unit}"
-            refuse("A limit in mm, and no other, has a radius.", found=actual, expected=EXAMPLES)
+            refuse("Limits in mm, and only these, have a radius.", found=actual, expected=EXAMPLES)
         if (self.of == "lost_motion") != (self.at_torque_share is not None):
             actual = "no torque" if self.at_torque_share is None else f"a torque with {self.of}"
-            refuse("Lost motion, and nothing else, has a torque.", found=actual, expected=EXAMPLES)
+            refuse(
+                "Limits of lost motion, and only these, have a torque.",
+                found=actual,
+                expected=EXAMPLES,
+            )
 
     def __str__(self) -> str:
         radius = "" if self.at_m is None else f" at {self.at_m!r} m"
@@ -156,7 +160,7 @@ def _a_gap(limit_rad: float) -> float:
 def _of_a_gap(limit: Limit) -> Limit:
     if (largest := limit.delta_rad()) > LARGEST_LIMIT_RAD:
         refuse(
-            "This limit is beyond every gap that is measured here.",
+            "This limit is larger than any gap that bayesbl measures.",
             found=f"{limit}, {1e3 * largest:.4g} mrad of δ",
             expected=f"at most {1e3 * LARGEST_LIMIT_RAD:g} mrad",
         )
@@ -350,7 +354,7 @@ class SnapshotConfig(RecordedConfig):
         count, least, most = len(recordings), cls.least_recordings, cls.most_recordings
         if count < least or (most is not None and count > most):
             refuse(
-                "This kind of run takes another number of recordings.",
+                "This kind of run needs a different number of recordings.",
                 found=f"{count} recording{'' if count == 1 else 's'}",
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
@@ -469,7 +473,7 @@ class CompareConfig(SnapshotConfig):
         first = dates[repairs[-1]] if repairs else dates[0]
         if start is not None and start > first:
             refuse(
-                "The joint cannot have begun to work after its first recording.",
+                "The joint cannot have gone into service after its first recording.",
                 found=f"in_service_since = {start}, first recording {first}",
                 expected="an earlier date, or none where it is not known",
                 at=("wear", "in_service_since"),

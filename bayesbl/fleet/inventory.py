@@ -73,7 +73,12 @@ class Joint(_Row):
     def _goes_together(self) -> Self:
         if self.bench is not None and self.curve is not None:
             both = "bench and curve"
-            refuse("A joint has one of them.", found=both, expected="either", at=("curve",))
+            refuse(
+                "A joint has either a bench or a curve.",
+                found=both,
+                expected="either",
+                at=("curve",),
+            )
         if self.limit is not None and self.stated_limit_rad is not None:
             both = "limit and limit_rad"
             refuse("There are two limits.", found=both, expected="one limit", at=("limit",))

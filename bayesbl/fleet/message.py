@@ -131,4 +131,4 @@ def _require_gap(row: Mapping[str, Any]) -> None:
     for names in (("delta_rad_low", "delta_rad_high"), QUANTILE_COLUMNS, _AMPLITUDE):
         given = [row[name] for name in names if row[name] is not None]
         if given != sorted(given) or len(given) not in (0, len(names)):
-            raise ValueError(f"{names[0]} to {names[-1]} are not in order, or not whole")
+            raise ValueError(f"{names[0]} to {names[-1]} are not in order, or not complete")

@@ -26,7 +26,7 @@ OUTCOMES = {
     "withheld": "withheld",
     "no_curve": "without a bench or a curve",
     "refused": "refused",
-    "failed": "failed by a bug",
+    "failed": "failed because of a bug",
 }
 """Outcomes of recordings in words."""
 

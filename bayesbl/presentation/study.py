@@ -36,13 +36,14 @@ def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> T
 
 def assumptions(_: object) -> tuple[str, ...]:
     """Assumptions of a study."""
-    return ("Each case has random numbers of its own, from the seed, the row and its number.",)
+    return ("Each case has its own random numbers, set by the seed, the row and the case number.",)
 
 
 def advice(summary: StudySummary) -> Advice:
     """Whether all cases of a study count."""
     failed = sum(int(row["failed"]) for row in summary["rows"])
     if failed:
-        why = f"{failed} cases failed and are not in the numbers; result.nc says why."
+        cases = "1 case failed and is" if failed == 1 else f"{failed} cases failed and are"
+        why = f"{cases} not counted; result.nc says why."
         return Advice("watch", "Look at the cases that failed first.", (why,))
-    return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))
+    return Advice("note", "Read the table below, row by row.", ("No case failed.",))

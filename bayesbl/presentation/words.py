@@ -103,8 +103,9 @@ def gap_cells(gap: Interval | None, upper_rad: float | None = None) -> tuple[str
 
 
 def of(*names: str) -> str:
-    """`` of NAME``; empty for the only snapshot of a fit."""
-    return f" of {', '.join(names)}" if any(names) else ""
+    """`` of "NAME"``; empty for the only snapshot of a fit."""
+    quoted = ", ".join(f'"{name}"' for name in names)
+    return f" of {quoted}" if any(names) else ""
 
 
 def capitalised(sentence: str) -> str:

@@ -129,7 +129,9 @@ class Study:
         """Run one case."""
         values = self.module.run_case(self.row(table), index, seed)
         if taken := sorted(values.keys() & OWN_COLUMNS.keys()):
-            raise ValueError(f"run_case returns names that are the runner's: {', '.join(taken)}")
+            raise ValueError(
+                f"run_case returns names that the runner uses itself: {', '.join(taken)}"
+            )
         return {str(name): float(value) for name, value in values.items()}
 
     def summarise(self, table: Table, cases: xr.Dataset) -> dict[str, float | int | str]:
