@@ -84,7 +84,7 @@ CORRELATION_LAGS = 200
 class DisagreementSummary(TypedDict):
     """RMS of measurement minus simulation, in ``unit``; the unit ``noise`` is the noise floor.
 
-    Declared unknowns are fitted ``before`` and ``after`` naming.
+    The ``[unknowns]`` are fitted ``before`` and ``after`` naming.
     ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null if noise may cause all of
     the disagreement before.
     """

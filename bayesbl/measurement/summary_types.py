@@ -273,8 +273,8 @@ class WearSummary(TypedDict):
     one-sided bounds too.
 
     ``probability_wear``, that the gap grows, allows for shrinking gaps; the other keys do not.
-    ``law``: posterior probability of each law of wear. ``rate`` is the mean since the first
-    snapshot, ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is
+    ``law``: posterior probability of each law of wear. ``rate`` is the mean since the first snapshot, ``rate_now`` the rate at the last one by the
+    laws. ``scatter_rad_per_root_year`` is
     irregular wear, ``None`` with fewer than four snapshots. ``drift_widens``: factor by which
     ``relative_sd_per_date``, as configured, widens the rate. ``years_to_limit`` count from the last
     snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead.
