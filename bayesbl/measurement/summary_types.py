@@ -269,15 +269,15 @@ class ChangeSummary(TypedDict):
 
 
 class WearSummary(TypedDict):
-    """Wear in time, from dated snapshots since the last repair. ``level`` is the probability of
-    one-sided bounds too.
+    """Wear in time, from dated snapshots since the last repair.
 
-    ``probability_wear``, that the gap grows, allows for shrinking gaps; the other keys do not.
-    ``law``: posterior probability of each law of wear. ``rate`` is the mean since the first snapshot, ``rate_now`` the rate at the last one by the
-    laws. ``scatter_rad_per_root_year`` is
-    irregular wear, ``None`` with fewer than four snapshots. ``drift_widens``: factor by which
-    ``relative_sd_per_date``, as configured, widens the rate. ``years_to_limit`` count from the last
-    snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead.
+    ``level`` is the probability of one-sided bounds too. ``probability_wear``, that the gap grows,
+    allows for shrinking gaps; the other keys do not. ``law``: posterior probability of each law of
+    wear. ``rate`` is the mean since the first snapshot, ``rate_now`` the rate at the last one by
+    the laws. ``scatter_rad_per_root_year`` is irregular wear, ``None`` with fewer than four
+    snapshots. ``drift_widens``: factor by which ``relative_sd_per_date``, as configured, widens the
+    rate. ``years_to_limit`` count from the last snapshot. ``forecast_from_prior`` is ``None``
+    without a limit ahead.
     """
 
     snapshots: list[str]
