@@ -30,7 +30,7 @@ from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import FORMATS, RESULT_MARK
 from bayesbl.recording.hdf5 import require_whole
 from bayesbl.recording.input_bytes import LIMIT_VARIABLE, memory_bytes
-from bayesbl.results.atomic import replacing
+from bayesbl.results.folder import replacing
 
 _MARK = b"\nbayesbl SHA-256 "
 _HEX_DIGITS = 64

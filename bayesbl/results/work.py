@@ -36,7 +36,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import make_own, require_own, unwritable
+from bayesbl.results.folder import make_own, require_own, unwritable
 from bayesbl.results.provenance import code_sha256, dependency_versions
 
 T = TypeVar("T")

@@ -15,17 +15,18 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import BrokerError
 from bayesbl.fleet.broker import (
+    LARGEST_MESSAGE_BYTES,
     Address,
     Credentials,
     OnlyOnce,
+    decoded_answer,
     make_client,
     refused,
     session,
     stays_known_by,
     unreachable,
 )
-from bayesbl.fleet.message import LARGEST_MESSAGE_BYTES, decoded_answer
-from bayesbl.fleet.recording_table import RecordingTable
+from bayesbl.fleet.plant_tables import RecordingTable
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage

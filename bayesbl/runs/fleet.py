@@ -44,14 +44,20 @@ from bayesbl.fleet.plant_tables import (
     write_table,
 )
 from bayesbl.fleet.pooled_rates import TypeRates
-from bayesbl.results.atomic import locked_sibling
-from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
+from bayesbl.results.folder import (
+    CONFIG_FILE,
+    SUMMARY_FILE,
+    is_finished,
+    locked_sibling,
+    new_result,
+    require_free,
+)
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import git_commit
 from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 from bayesbl.runs.cluster import run_jobs
-from bayesbl.runs.workflow import Options, Plan
+from bayesbl.runs.kinds import Options, Plan
 
 DRAWS_FOLDER = "draws.zarr"
 KEPT = ".kept"  # suffix of the hidden folder of answers

@@ -55,13 +55,12 @@ from pydantic import BaseModel, ValidationError
 from bayesbl.config.kinds import StudyConfig
 from bayesbl.config.loading import config_error, problems_of
 from bayesbl.errors import ConfigError, UserError, WorkerError
-from bayesbl.results.atomic import replacing
-from bayesbl.results.folder import figure_title
+from bayesbl.results.folder import figure_title, replacing
 from bayesbl.results.provenance import file_sha256, git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, Head, json_text, summary_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
-from bayesbl.runs.workflow import Options, Plan, work_of, write_result
+from bayesbl.runs.kinds import Options, Plan, work_of, write_result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

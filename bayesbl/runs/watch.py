@@ -36,9 +36,8 @@ from bayesbl.fleet.measured_joint import (
     RecordingAnswer,
     measure_recording,
 )
-from bayesbl.fleet.plant_tables import recording_row
-from bayesbl.fleet.recording_table import RecordingTable
-from bayesbl.results.atomic import sibling
+from bayesbl.fleet.plant_tables import RecordingTable, recording_row
+from bayesbl.results.folder import sibling
 from bayesbl.results.work import STORE, WorkStore
 from bayesbl.runs.fleet import KEPT
 

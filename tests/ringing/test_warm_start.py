@@ -43,8 +43,7 @@ from bayesbl.ringing.symbols import (
     START,
     DisturbanceModel,
 )
-from bayesbl.runs.kinds import check, run
-from bayesbl.runs.workflow import Options
+from bayesbl.runs.kinds import Options, check, run
 
 NOISE = NoiseModel(1.5, (0.6,))
 OLD = EarlierOptimum("the old optimum", TRUTH, 1.5)

@@ -121,7 +121,7 @@ def test_what_cannot_be_watched_is_told(plant):
 
 KILLED = """
 import os, signal, sys
-from bayesbl.fleet.recording_table import RecordingTable
+from bayesbl.fleet.plant_tables import RecordingTable
 from bayesbl import cli
 whole, calls = RecordingTable.save, []
 def killed(*arguments):
@@ -225,7 +225,7 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
 def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, broker):
     from paho.mqtt.publish import multiple
 
-    from bayesbl.fleet.message import encoded_answer
+    from bayesbl.fleet.broker import encoded_answer
 
     address = read_address(f"mqtt://localhost:{broker.port}/plant")
     said: list[str] = []

@@ -25,8 +25,7 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.atomic import replacing
-from bayesbl.results.folder import figure_title
+from bayesbl.results.folder import figure_title, replacing
 from bayesbl.results.intervals import Interval
 
 SINGLE_COLUMN_IN = 3.4
