@@ -291,8 +291,9 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
         If the configuration cannot be run, or the folder holds a finished result and ``force`` is
         not given.
     """
-    from bayesbl.runs.kinds import Options, load_run
+    from bayesbl.runs.kinds import load_run
     from bayesbl.runs.kinds import run as run_config
+    from bayesbl.runs.workflow import Options
 
     file = None if isinstance(config, RunConfig) else Path(config)
     loaded = config if isinstance(config, RunConfig) else load_run(config)

@@ -21,7 +21,7 @@ from bayesbl.recording import formats
 
 if TYPE_CHECKING:
     from bayesbl.config.sections import RunConfig
-    from bayesbl.runs.kinds import Plan
+    from bayesbl.runs.workflow import Plan
 
 FAILED, WRONG, WITHHELD = 1, 2, 3  # statuses: a bug or Ctrl-C; wrong input; a withheld answer
 
@@ -57,7 +57,8 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
     with bare(dask=getattr(config.run, "scheduler", None) is not None):
         from bayesbl.library import draw
         from bayesbl.presentation.console import print_result
-        from bayesbl.runs.kinds import Options, run
+        from bayesbl.runs.kinds import run
+        from bayesbl.runs.workflow import Options
 
         console = make_console(stderr=True)
         with progress(console) as tell:

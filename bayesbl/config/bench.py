@@ -314,6 +314,16 @@ def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
     return EffectParameterValue(ratio, sd or None)
 
 
+def _no_play(entry: EffectValue) -> EffectValue:
+    if entry.value != 0.0:
+        refuse(
+            "Play of the belt itself is not simulated.",
+            found=f"{entry.value:g}",
+            expected="0: a joint with a second play is withheld, not measured",
+        )
+    return entry
+
+
 class BeltSection(_Spring):
     """``[belt]``: a belt or elastic coupling between motor and gear; values at the motor.
 
@@ -324,18 +334,7 @@ class BeltSection(_Spring):
     as_effect = ("belt", "reducer_inertia_kg_m2", "reducer_share", "motor_inertia_kg_m2")
 
     reducer_inertia_kg_m2: AboveZero
-    play_rad: EffectValue = EffectValue(value=0.0)
-
-    @field_validator("play_rad")
-    @classmethod
-    def _no_play(cls, entry: EffectValue) -> EffectValue:
-        if entry.value != 0.0:
-            refuse(
-                "Play of the belt itself is not simulated.",
-                found=f"{entry.value:g}",
-                expected="0: a joint with a second play is withheld, not measured",
-            )
-        return entry
+    play_rad: Annotated[EffectValue, AfterValidator(_no_play)] = EffectValue(value=0.0)
 
 
 class ArmSection(_Spring):

@@ -22,7 +22,7 @@ from bayesbl.config.sections import (
     ResultFile,
     Section,
     SnapshotRecording,
-    differently_named,
+    differing_in,
     refuse,
 )
 from bayesbl.errors import ConfigError
@@ -355,7 +355,7 @@ class SnapshotConfig(RecordedConfig):
                 found=f"{count} recording{'' if count == 1 else 's'}",
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
-        return differently_named(recordings)
+        return differing_in("name")(recordings)
 
     def entry_of(self, recording: str) -> MeasuredRecording:
         """The entry with this name."""

@@ -12,7 +12,7 @@ import os
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import date as Date
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar
@@ -237,11 +237,15 @@ class Section(BaseModel):
 _POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATION, ROTATION})
 
 
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+Workers = Annotated[int, Field(ge=1, le=1024)]
+
+
 class Run(Section):
     """``[run]``: seed, number of processes and output folder."""
 
-    seed: int = Field(default=1, ge=0, lt=2**63)
-    workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=1024)
+    seed: Seed = 1
+    workers: Workers = Field(default_factory=lambda: os.cpu_count() or 1)
     output: OutputPath
 
 
@@ -327,14 +331,16 @@ class SnapshotRecording(Section):
         return self.files or (self.file,)
 
 
-R = TypeVar("R", bound=SnapshotRecording)
+def differing_in(*keys: str) -> Callable[[tuple[T, ...]], tuple[T, ...]]:
+    """A validator that refuses two recordings with the same text under one of these keys."""
 
+    def require(recordings: tuple[T, ...]) -> tuple[T, ...]:
+        for key in keys:
+            texts = [getattr(recording, key) for recording in recordings]
+            require_different(texts, f"Two recordings have the same {key}.")
+        return recordings
 
-def differently_named(recordings: tuple[R, ...]) -> tuple[R, ...]:
-    """Refuse recordings with the same name."""
-    names = [recording.name for recording in recordings]
-    require_different(names, "Two recordings have the same name.")
-    return recordings
+    return require
 
 
 class RecordedConfig(RunConfig):
@@ -415,7 +421,7 @@ class Interval(Section):
     kind: Literal["equal_tailed", "hdi"] = "equal_tailed"
 
 
-def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
+def _two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
     """Validate a range of load angles."""
     if len(angles) != 2 or not angles[1] - angles[0] >= SHORTEST_WAY_RAD:
         refuse(
@@ -427,3 +433,4 @@ def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
 
 
 SHORTEST_WAY_RAD = 1e-3  # shortest motion of the load
+AngleRange = Annotated[Items[float], AfterValidator(_two_angles)]

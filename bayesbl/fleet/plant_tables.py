@@ -37,49 +37,33 @@ from bayesbl.results.variables import table
 GROUP, ARRAY, ATTRIBUTES = ".zgroup", ".zarray", ".zattrs"
 
 
-class DrawsStore:
-    """A new store in a folder that must not exist."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._group(folder, {})
-
-    def put(
-        self,
-        name: str,
-        arrays: Mapping[str, tuple[Sequence[str], NDArray[np.generic]]],
-        attributes: Mapping[str, object],
-    ) -> None:
-        """Write a group; each array comes after the names of its dimensions."""
-        folder = self._folder / name
-        self._group(folder, attributes)
-        for key, (dims, values) in arrays.items():
-            _write(folder / key, values, {"_ARRAY_DIMENSIONS": list(dims)})
-
-    def _group(self, folder: Path, attributes: Mapping[str, object]) -> None:
-        folder.mkdir(parents=True)
-        (folder / GROUP).write_text('{"zarr_format": 2}')
-        (folder / ATTRIBUTES).write_text(json.dumps(dict(attributes), ensure_ascii=False))
-
-
-def _write(folder: Path, values: NDArray[np.generic], attributes: Mapping[str, object]) -> None:
-    folder.mkdir()
-    dtype = values.dtype.newbyteorder("<")
-    plain = np.ascontiguousarray(values, dtype=dtype)
-    head = {
-        "zarr_format": 2,
-        "shape": list(plain.shape),
-        "chunks": [max(1, size) for size in plain.shape],
-        "dtype": dtype.str,
-        "compressor": None,
-        "fill_value": None,
-        "order": "C",
-        "filters": None,
-    }
-    (folder / ARRAY).write_text(json.dumps(head))
-    (folder / ATTRIBUTES).write_text(json.dumps(attributes))
-    if plain.size:
-        (folder / ".".join(["0"] * plain.ndim)).write_bytes(plain.tobytes())
+def write_draws(
+    folder: Path,
+    arrays: Mapping[str, tuple[Sequence[str], NDArray[np.generic]]],
+    attributes: Mapping[str, object],
+) -> None:
+    """Write a group into a new folder; each array comes after the names of its dimensions."""
+    folder.mkdir(parents=True)
+    (folder / GROUP).write_text('{"zarr_format": 2}')
+    (folder / ATTRIBUTES).write_text(json.dumps(dict(attributes), ensure_ascii=False))
+    for key, (dims, values) in arrays.items():
+        place, dtype = folder / key, values.dtype.newbyteorder("<")
+        place.mkdir()
+        plain = np.ascontiguousarray(values, dtype=dtype)
+        head = {
+            "zarr_format": 2,
+            "shape": list(plain.shape),
+            "chunks": [max(1, size) for size in plain.shape],
+            "dtype": dtype.str,
+            "compressor": None,
+            "fill_value": None,
+            "order": "C",
+            "filters": None,
+        }
+        (place / ARRAY).write_text(json.dumps(head))
+        (place / ATTRIBUTES).write_text(json.dumps({"_ARRAY_DIMENSIONS": list(dims)}))
+        if plain.size:
+            (place / ".".join(["0"] * plain.ndim)).write_bytes(plain.tobytes())
 
 
 RECORDINGS_FILE, JOINTS_FILE = "recordings.parquet", "joints.parquet"
@@ -395,7 +379,8 @@ class RecordingTable:
 
     def holds_measured(self, joint: str, sha256: str) -> bool:
         """Whether a recording was measured here and is usable."""
-        return bool(self._outcomes(None, joint, sha256) - UNUSABLE)
+        usable = {"device": None, "joint": joint, "sha256": sha256, "outcome": "usable"}
+        return self._knows(usable)
 
     def put(self, row: Row) -> bool:
         """Add a row, unless the table has it, or one of the same recording that says more.
@@ -404,7 +389,8 @@ class RecordingTable:
         """
         if self._knows(row):
             return False
-        kept = [one for one in self.rows if not _replaces(row, one)]
+        same = ("file",) if row["sha256"] is None else ("file", "sha256")
+        kept = [one for one in self.rows if not any(_is_same(row, one, key) for key in same)]
         self.rows = sorted([*kept, row], key=lambda one: (one["joint"], one["date"], one["file"]))
         self._changed = True
         return True
@@ -418,21 +404,14 @@ class RecordingTable:
 
     def _knows(self, row: Row) -> bool:
         if row["sha256"] is None:
-            same = ("device", "joint", "file", "reason")
-            return any(all(one[key] == row[key] for key in same) for one in self.rows)
-        known = self._outcomes(row["device"], row["joint"], row["sha256"])
+            return any(_is_same(row, one, "file", "reason") for one in self.rows)
+        known = {one["outcome"] for one in self.rows if _is_same(row, one, "sha256")}
         return bool(known if row["outcome"] in UNUSABLE else known - UNUSABLE)
 
-    def _outcomes(self, device: str | None, joint: str, sha256: str) -> set[str]:
-        asked = device, joint, sha256
-        keys = "device", "joint", "sha256"
-        return {o["outcome"] for o in self.rows if tuple(o[key] for key in keys) == asked}
 
-
-def _replaces(row: Row, one: Row) -> bool:
-    """Whether both rows are of the same device and joint, and of the same file or bytes."""
-    same = one["file"] == row["file"] or one["sha256"] == row["sha256"] is not None
-    return same and (one["device"], one["joint"]) == (row["device"], row["joint"])
+def _is_same(row: Row, one: Row, *keys: str) -> bool:
+    """Whether both rows are of the same device and joint, and alike in these columns."""
+    return all(one[key] == row[key] for key in ("device", "joint", *keys))
 
 
 def _read(path: Path) -> list[Row]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import load_bench, reduced_inertia_kg_m2
-from bayesbl.runs.kinds import Plan
+from bayesbl.runs.workflow import Plan
 from bayesbl.units import STANDARD_GRAVITY
 
 USUAL_FREQUENCY_HZ = (2.0, 100.0)

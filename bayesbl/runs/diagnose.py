@@ -40,7 +40,7 @@ from bayesbl.recording.types import (
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.kinds import Options, Plan, settings_of
+from bayesbl.runs.workflow import Options, Plan, settings_of
 
 FEWEST_SAMPLES = 200
 

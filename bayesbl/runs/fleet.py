@@ -35,12 +35,12 @@ from bayesbl.fleet.plant_tables import (
     JOINTS_FILE,
     RECORDING_COLUMNS,
     RECORDINGS_FILE,
-    DrawsStore,
     Measured,
     joint_rows,
     pool,
     recording_row,
     require_tables,
+    write_draws,
     write_table,
 )
 from bayesbl.fleet.pooled_rates import TypeRates
@@ -57,7 +57,7 @@ from bayesbl.results.provenance import git_commit
 from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 from bayesbl.runs.cluster import run_jobs
-from bayesbl.runs.kinds import Options, Plan
+from bayesbl.runs.workflow import Options, Plan
 
 DRAWS_FOLDER = "draws.zarr"
 KEPT = ".kept"  # suffix of the hidden folder of answers
@@ -235,7 +235,7 @@ def _write(
     folder: Path,
 ) -> FleetSummary:
     """Write tables, draws, summary and configuration of a fleet, from answers in any order."""
-    draws = DrawsStore(folder / DRAWS_FOLDER)
+    write_draws(folder / DRAWS_FOLDER, {}, {})
     rows: list[dict[str, Any]] = []
     of_joint: dict[str, Measured] = {}
     broken = Counter(one.joint for one in refused)
@@ -245,7 +245,7 @@ def _write(
         dates = tuple(one.date for one in job.recordings)
         outcomes = tuple(str(row["outcome"]) for row in kept.rows)
         outcomes += (REFUSED,) * broken[job.joint.name]
-        _put_draws(draws, job, kept.answer)
+        _write_draws(folder / DRAWS_FOLDER / job.joint.name, job, kept.answer)
         # The draws of single recordings are on disk, and are not needed any more.
         now = None if kept.answer.gap_rad is None else kept.answer.gap_rad[-1:]
         answer = replace(kept.answer, gap_rad=now)
@@ -266,7 +266,7 @@ def _write(
     return summary
 
 
-def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
+def _write_draws(folder: Path, job: JointJob, answer: JointAnswer) -> None:
     if answer.gap_rad is None:
         return
     dates = np.array([job.recordings[number].date for number in answer.used], dtype="U10")
@@ -278,7 +278,7 @@ def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
         values = getattr(answer.wear, name, None)
         if values is not None:
             arrays[name] = (("wear_draw",), values)
-    draws.put(job.joint.name, arrays, {"reason": answer.reason or "", "route": answer.route})
+    write_draws(folder, arrays, {"reason": answer.reason or "", "route": answer.route})
 
 
 def summary_of(

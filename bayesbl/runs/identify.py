@@ -21,7 +21,7 @@ from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.results.identified import require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.kinds import Options, Plan, settings_of
+from bayesbl.runs.workflow import Options, Plan, settings_of
 from bayesbl.sampling.chains import SamplerSettings
 
 

@@ -21,7 +21,7 @@ from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.probabilities import normal_isf
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.kinds import Options, Plan
+from bayesbl.runs.workflow import Options, Plan
 from bayesbl.sentences import sentence
 
 if TYPE_CHECKING:

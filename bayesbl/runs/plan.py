@@ -15,7 +15,7 @@ from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, json_text
 from bayesbl.results.variables import Group, columns, datasets, table
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.kinds import Options, Plan
+from bayesbl.runs.workflow import Options, Plan
 
 MOTIONS = Group(
     "motions",

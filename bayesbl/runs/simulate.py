@@ -23,7 +23,7 @@ from bayesbl.processes import in_threads
 from bayesbl.recording.types import TIME, Recording
 from bayesbl.results.folder import replacing, require_apart, require_inside, require_replaceable
 from bayesbl.results.identified import bench_from
-from bayesbl.runs.kinds import Plan, require_affordable, require_writable
+from bayesbl.runs.workflow import Plan, require_affordable, require_writable
 
 BYTES_PER_SAMPLE = 400.0  # memory for a simulated sample: its channels, and all of them as text
 SECONDS_PER_SAMPLE, SECONDS_PER_SECOND = 5e-6, 1e-4  # to write a sample, to integrate a second

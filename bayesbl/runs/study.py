@@ -60,7 +60,7 @@ from bayesbl.results.provenance import file_sha256, git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, Head, json_text, summary_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
-from bayesbl.runs.kinds import Options, Plan, work_of, write_result
+from bayesbl.runs.workflow import Options, Plan, work_of, write_result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

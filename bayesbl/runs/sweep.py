@@ -24,7 +24,7 @@ from bayesbl.results.variables import Group, datasets, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
-from bayesbl.runs.kinds import Options, Plan, require_affordable
+from bayesbl.runs.workflow import Options, Plan, require_affordable
 
 EXAMPLE_GAPS = 6
 

@@ -29,8 +29,9 @@ from bayesbl.library import draw
 from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
 from bayesbl.runs.collect import collect
-from bayesbl.runs.kinds import Options, run
+from bayesbl.runs.kinds import run
 from bayesbl.runs.watch import Watched, watch
+from bayesbl.runs.workflow import Options
 
 pytest.importorskip("pyarrow")
 

@@ -31,9 +31,10 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.runs.kinds import Options, result_of_run
+from bayesbl.runs.kinds import result_of_run
 from bayesbl.runs.study import prepare, stored_rows
 from bayesbl.runs.study import run as run_study
+from bayesbl.runs.workflow import Options
 
 pytestmark = pytest.mark.long
 

@@ -43,7 +43,8 @@ from bayesbl.ringing.symbols import (
     START,
     DisturbanceModel,
 )
-from bayesbl.runs.kinds import Options, check, run
+from bayesbl.runs.kinds import check, run
+from bayesbl.runs.workflow import Options
 
 NOISE = NoiseModel(1.5, (0.6,))
 OLD = EarlierOptimum("the old optimum", TRUTH, 1.5)

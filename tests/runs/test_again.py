@@ -13,8 +13,9 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.runs.kinds import Options, run
+from bayesbl.runs.kinds import run
 from bayesbl.runs.simulate import recording_csv
+from bayesbl.runs.workflow import Options
 
 POSTERIOR = "[posterior]\nensembles = 2\nmax_steps = 400\n"
 

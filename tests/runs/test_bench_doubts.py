@@ -8,7 +8,7 @@ import pytest
 from places import CONFIGS
 
 from bayesbl.runs.bench import describe
-from bayesbl.runs.kinds import Plan
+from bayesbl.runs.workflow import Plan
 
 
 @pytest.mark.parametrize(

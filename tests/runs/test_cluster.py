@@ -27,10 +27,10 @@ from bayesbl.results.store import read_tree
 from bayesbl.results.work import STORE
 from bayesbl.runs import cluster as clusters
 from bayesbl.runs.cluster import differences, facts
-from bayesbl.runs.kinds import Options
 from bayesbl.runs.simulate import recording_csv
 from bayesbl.runs.study import Job, files_of_study, prepare
 from bayesbl.runs.study import run as run_study
+from bayesbl.runs.workflow import Options
 
 STUDY = """
 import os

@@ -17,9 +17,10 @@ from bayesbl.fleet.measured_joint import JointJob, measure_joint
 from bayesbl.library import draw
 from bayesbl.results.work import STORE
 from bayesbl.runs import fleet, watch
-from bayesbl.runs.kinds import Options, run
+from bayesbl.runs.kinds import run
 from bayesbl.runs.simulate import run_simulate
 from bayesbl.runs.watch import Watched
+from bayesbl.runs.workflow import Options
 
 pytest.importorskip("pyarrow")
 

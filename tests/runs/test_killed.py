@@ -19,8 +19,9 @@ from bayesbl.results.store import read_tree
 from bayesbl.results.work import decoder, encoded
 from bayesbl.ringing.estimator import Estimator, Fit
 from bayesbl.ringing.posterior import SamplerSettings
-from bayesbl.runs.kinds import Options, load_run, run
+from bayesbl.runs.kinds import load_run, run
 from bayesbl.runs.simulate import recording_csv
+from bayesbl.runs.workflow import Options
 
 pytestmark = pytest.mark.long
 

@@ -16,9 +16,9 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.results.store import read_tree
 from bayesbl.results.work import STORE
-from bayesbl.runs.kinds import Options
 from bayesbl.runs.study import load_study, seed_of_case, table_csv
 from bayesbl.runs.study import run as run_study
+from bayesbl.runs.workflow import Options
 
 STUDY = '''"""The mean of normal draws."""
 
