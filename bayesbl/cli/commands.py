@@ -445,7 +445,7 @@ def collect_command(
 ) -> None:
     """Collect what devices publish into one recordings.parquet."""
     from bayesbl.fleet.broker import read_address, read_credentials
-    from bayesbl.runs.collect import collect
+    from bayesbl.runs.watch import collect
 
     address = read_address(url)
     _log(address.open_to_others)

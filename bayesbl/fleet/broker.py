@@ -25,11 +25,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 from urllib.parse import unquote, urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import ConfigDict, Field, ValidationError, create_model
 
 from bayesbl.config.loading import problems_of
 from bayesbl.config.sections import BASE_DIRECTORY, LONGEST_NAME, InputPath, Section
-from bayesbl.errors import BrokerError, ConfigError, shortened
+from bayesbl.errors import ConfigError, shortened
 from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import replacing
@@ -173,9 +173,11 @@ def make_client(
     return client
 
 
-def session(**more: int) -> Any:
-    """Properties of a connection whose session the broker keeps."""
-    return _properties("CONNECT", SessionExpiryInterval=0xFFFFFFFF, **more)  # never
+def start(client: Client, address: Address, **more: int) -> None:
+    """Connect in paho's thread, for a session that the broker keeps."""
+    kept = _properties("CONNECT", SessionExpiryInterval=0xFFFFFFFF, **more)  # never
+    client.connect_async(address.host, address.port, clean_start=False, properties=kept)
+    client.loop_start()
 
 
 def _properties(packet: str, **values: int) -> Any:
@@ -195,13 +197,6 @@ def unreachable(address: Address, error: BaseException | None) -> str:
     else:
         reason = getattr(error, "strerror", None) or str(error)
     return f"{address.host}:{address.port} cannot be reached: {reason}."
-
-
-def refused(address: Address, reason: object) -> BrokerError:
-    """The error for a broker that refuses us."""
-    return BrokerError(
-        "The broker refuses.", where=address.in_words, found=str(reason), expected="to be let in"
-    )
 
 
 class OnlyOnce:
@@ -244,10 +239,7 @@ class Sender:
         self._reasons: dict[int, Any] = {}
         self._sent, self._since_s = self._kept()
         self._pause_s, self._again_s = FIRST_WAIT_S, 0.0
-        self._client.connect_async(
-            address.host, address.port, clean_start=False, properties=session()
-        )
-        self._client.loop_start()
+        start(self._client, address)
 
     def offer(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Add answers to send, and send what waits; call it repeatedly, even without answers.
@@ -385,11 +377,8 @@ _COLUMNS |= {"joint": (_JointName, ...), "outcome": (Literal[OUTCOMES], ...)}
 _COLUMNS |= {"sha256": (Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None, None)}
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
-
-
-_Row = create_model("_Row", __base__=_Strict, **_COLUMNS)
+_STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+_Row = create_model("_Row", __config__=_STRICT, **_COLUMNS)
 
 
 def decoded_answer(message: bytes) -> dict[str, Any]:
@@ -416,21 +405,16 @@ def decoded_answer(message: bytes) -> dict[str, Any]:
         where = ".".join(map(str, first["loc"]))
         raise ValueError(shortened(f"{where}: {first['msg']}", 200)) from None
     row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS) | dict(recording)
+    day = None
     if row["outcome"] != "refused":  # which it may be just for its date
-        _require_day(row["date"])
+        with suppress(ValueError):
+            day = Date.fromisoformat(row["date"]).isoformat()
+        if day != row["date"]:
+            raise ValueError("date: it is not written as 2026-03-01")
         if row["sha256"] is None:
             raise ValueError("sha256: there is none")
     _require_gap(row)
     return row | {"device": device}
-
-
-def _require_day(text: str) -> None:
-    try:
-        is_day = Date.fromisoformat(text).isoformat() == text
-    except ValueError:
-        is_day = False
-    if not is_day:
-        raise ValueError("date: it is not written as 2026-03-01")
 
 
 def _require_gap(row: Mapping[str, Any]) -> None:

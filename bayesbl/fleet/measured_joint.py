@@ -212,12 +212,13 @@ class JointJob:
 
     def _entry(self, number: int, repaired: bool) -> dict[str, Any]:
         one = self.recordings[number]
-        entry = {"name": self.names[number], "file": one.file, "date": Date.fromisoformat(one.date)}
-        if repaired:
-            entry["repaired"] = True
-        if one.reference_speed_rpm is not None:
-            entry["reference_speed_rpm"] = one.reference_speed_rpm
-        return entry
+        return {
+            "name": self.names[number],
+            "file": one.file,
+            "date": Date.fromisoformat(one.date),
+            "repaired": repaired,
+            "reference_speed_rpm": one.reference_speed_rpm,
+        }
 
 
 DRAWS = 2000  # of gaps and rate: a 90 % interval has 90 ± 0.7 % (√(p (1 − p)/n))
@@ -373,12 +374,8 @@ def _by_curve(job: JointJob, used: Sequence[int]) -> JointAnswer:
     tree = _measured(job, job.config("compare", used, "amplitude"), used)
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
-    wear_summary = with_sentences(summary_of(tree))["wear"]
-    reason = (
-        None
-        if wear_summary is None or wear_summary["reason"] is None
-        else wear_summary["reason"]["text"]
-    )
+    told = with_sentences(summary_of(tree))["wear"] or {"reason": None}
+    reason = told["reason"] and told["reason"]["text"]
     return _of_group(wear, reason, "amplitude", used, gaps.reshape(len(used), -1))
 
 

@@ -157,7 +157,7 @@ def recording_row(
     """A row of ``recordings.parquet`` without the recording's identity."""
     row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
     row |= {"outcome": answer.outcome, "reason": answer.reason, "used": used}
-    row |= {"route": answer.route or None}
+    row["route"] = answer.route or None
     row["notes"] = " ".join(n for n in answer.notes if n not in (answer.reason or "")) or None
     if answer.amplitude_rpm is not None:
         ends = (f"amplitude_rpm_{end}" for end in ("median", "low", "high"))

@@ -116,18 +116,15 @@ def read_tree(path: str | Path) -> xr.DataTree:
         raise ResultError(
             "There is no such result." + did_you_mean_file(file), file=file, expected="a result.nc"
         )
-    quoted = shlex.quote(str(file))
-    if file.suffix.lower() == ".toml":
+    sources = dict.fromkeys(FORMATS.keys() - {".nc"}, ("recording", "fit", "one"))
+    sources[".toml"] = ("configuration", "run", "it")
+    if file.suffix.lower() in sources:
+        what, command, one = sources[file.suffix.lower()]
+        makes = f"`bayesbl {command} {shlex.quote(str(file))}` makes {one}"
         raise ResultError(
-            "This is a configuration, not a result.",
+            f"This is a {what}, not a result.",
             file=file,
-            expected=f"the output folder of a run; `bayesbl run {quoted}` makes it",
-        )
-    if file.suffix.lower() in FORMATS.keys() - {".nc"}:
-        raise ResultError(
-            "This is a recording, not a result.",
-            file=file,
-            expected=f"the output folder of a run; `bayesbl fit {quoted}` makes one",
+            expected=f"the output folder of a run; {makes}",
         )
     _require_intact(file)
     _require_whole(file)

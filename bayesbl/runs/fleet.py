@@ -44,6 +44,7 @@ from bayesbl.fleet.plant_tables import (
     write_table,
 )
 from bayesbl.fleet.pooled_rates import TypeRates
+from bayesbl.progress import of_stage
 from bayesbl.results.folder import (
     CONFIG_FILE,
     SUMMARY_FILE,
@@ -190,9 +191,8 @@ def _answers(
         options.say(
             f"{new} recordings to measure, {len(lacking)} of {len(jobs)} joints to look at."
         )
-    done = len(jobs) - len(lacking)
-    if options.progress is not None:
-        options.progress("Joints", done, len(jobs))
+    done, report = len(jobs) - len(lacking), of_stage(options.progress, "Joints")
+    report(done, len(jobs))
     for job, (answers, wear) in _measured(config, lacking, options.say):
         for number, answer in enumerate(answers):
             if number not in job.known and answer.lasting:
@@ -205,14 +205,11 @@ def _answers(
         if wear.lasting:
             store.keep("joint", job.problem(), kept)
         done += 1
-        if options.progress is not None:
-            options.progress("Joints", done, len(jobs))
+        report(done, len(jobs))
         yield job, kept
-    used = {store.address_of("joint", job.problem()) for job in jobs}
-    for job in jobs:
-        numbers = range(len(job.recordings))
-        used |= {store.address_of("recording", job.problem_of(number)) for number in numbers}
-    store.keep_only(used)
+    of_joints = [("joint", job.problem()) for job in jobs]
+    of_each = [("recording", job.problem_of(n)) for job in jobs for n in range(len(job.recordings))]
+    store.keep_only({store.address_of(*step) for step in of_joints + of_each})
 
 
 def _measured(

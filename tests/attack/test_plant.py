@@ -26,11 +26,9 @@ from bayesbl.fleet.broker import Credentials, read_address
 from bayesbl.fleet.inventory import Found
 from bayesbl.fleet.measured_joint import REFUSED, JointJob, RecordingAnswer
 from bayesbl.library import draw
-from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
-from bayesbl.runs.collect import collect
 from bayesbl.runs.kinds import run
-from bayesbl.runs.watch import Watched, watch
+from bayesbl.runs.watch import Watched, collect, watch
 from bayesbl.runs.workflow import Options
 
 pytest.importorskip("pyarrow")
@@ -174,7 +172,7 @@ ANN = Credentials(user="ann", password="secret")
 
 def collected(plant: Path, broker: Broker) -> list[dict[str, object]]:
     address = read_address(f"mqtt://localhost:{broker.port}/plant")
-    with patch.object(collecting, "IDLE_S", 0.5):
+    with patch.object(watching, "IDLE_S", 0.5):
         collect(address, ANN, plant / "all", lambda _: None, lambda _: None, once=True)
     return table(plant / "all") if (plant / "all/recordings.parquet").exists() else []
 
