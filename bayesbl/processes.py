@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from bayesbl.errors import WorkerError
 from bayesbl.libraries import bare
@@ -85,7 +85,7 @@ def _single_threaded() -> Iterator[None]:
 def _script_not_imported() -> Iterator[None]:
     """Processes started in the block do not run the script again, which may lack a guard."""
     main = vars(sys.modules["__main__"])
-    before = {name: main[name] for name in ("__file__", "__spec__") if name in main}
+    before: dict[str, Any] = {n: main[n] for n in ("__file__", "__spec__") if n in main}
     main.pop("__file__", None)
     main["__spec__"] = None
     try:

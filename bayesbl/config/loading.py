@@ -502,6 +502,14 @@ def files_of(value: Any) -> list[Path]:
     return [Path(value)] if text or isinstance(value, Path) else []
 
 
+def kind_of(path: str | Path) -> str:
+    """The kind that a file states; empty if it cannot be read, which loading then reports."""
+    try:
+        return _read(Path(path)).kind
+    except ConfigError:
+        return ""
+
+
 def _read(path: Path) -> _Document:
     init = f"bayesbl init {shlex.quote(str(path))}"
     hint = f"a configuration in TOML; `{init}` writes one for a recording"

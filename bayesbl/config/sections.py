@@ -14,6 +14,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from datetime import date as Date
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar
 
@@ -139,10 +140,6 @@ def known_name(name: str, known: Collection[str], what: str) -> str:
     return name
 
 
-def _symbol(name: str) -> str:
-    return known_name(name, SYMBOLS, "symbol of the disturbance model")
-
-
 def _channel(name: str) -> str:
     if not is_mappable(name):
         refuse(
@@ -180,11 +177,6 @@ def name_of(stem: str) -> str:
     return (allowed if re.match(r"\w", allowed) else f"r{allowed}")[:LONGEST_NAME]
 
 
-def column_entry(value: object) -> object:
-    """Expand ``"Speed"`` to ``{name = "Speed"}``."""
-    return {"name": value} if isinstance(value, str) else value
-
-
 OutputPath = Annotated[Path, BeforeValidator(_output_path)]
 InputPath = Annotated[Path, BeforeValidator(_input_path)]
 CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
@@ -198,7 +190,10 @@ GapBounds = Annotated[
     Strict(False),
     AfterValidator(_increasing),
 ]
-SymbolName = Annotated[str, AfterValidator(_symbol)]
+SymbolName = Annotated[
+    str,
+    AfterValidator(partial(known_name, known=SYMBOLS, what="symbol of the disturbance model")),
+]
 ChannelName = Annotated[str, AfterValidator(_channel)]
 Name = Annotated[str, AfterValidator(_name)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -279,8 +274,10 @@ class Column(Section):
     unit: Annotated[str, AfterValidator(spelled)] | None = None
     reversed: bool = False
 
-
-ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
+    @model_validator(mode="before")
+    @classmethod
+    def _of_name(cls, column: Any) -> Any:
+        return {"name": column} if isinstance(column, str) else column
 
 
 def _file_or_files(schema: dict[str, Any]) -> None:
@@ -346,7 +343,7 @@ def differing_in(*keys: str) -> Callable[[tuple[T, ...]], tuple[T, ...]]:
 class RecordedConfig(RunConfig):
     """A run over recordings whose columns may have other names and units."""
 
-    columns: dict[ChannelName, ColumnEntry] = Field(default_factory=dict)
+    columns: dict[ChannelName, Column] = Field(default_factory=dict)
 
     @property
     def column_specs(self) -> dict[str, ColumnSpec]:
