@@ -188,22 +188,19 @@ def pool(
     measured: Sequence[Measured], column: str | None, seed: int, covariates: Sequence[str] = ()
 ) -> tuple[dict[str, TypeRates], dict[str, Borrowed]]:
     """Rates by type, and by joint what its type adds; ``covariates`` are columns."""
-    groups: dict[str, dict[str, WearDraws]] = defaultdict(dict)
+    groups: dict[str, list[tuple[Joint, WearDraws]]] = defaultdict(list)
     for one in measured:
         if column and one.answer.wear is not None and one.joint.group(column):
-            groups[one.joint.group(column)][one.joint.name] = one.answer.wear
-    joints = {one.joint.name: one.joint for one in measured}
+            groups[one.joint.group(column)].append((one.joint, one.answer.wear))
     types: dict[str, TypeRates] = {}
     borrowed: dict[str, Borrowed] = {}
     for place, (name, members) in enumerate(sorted(groups.items())):
-        rates = pooled(
-            list(members.values()),
-            np.random.default_rng([seed, place]),
-            {key: np.array([joints[one].covariates[key] for one in members]) for key in covariates},
-        )
+        joints, wears = zip(*members, strict=True)
+        known = {key: np.array([joint.covariates[key] for joint in joints]) for key in covariates}
+        rates = pooled(wears, np.random.default_rng([seed, place]), known)
         if rates is not None:
             types[name] = rates.rates
-            borrowed |= dict(zip(members, rates.joints, strict=True))
+            borrowed |= {j.name: own for j, own in zip(joints, rates.joints, strict=True)}
     return types, borrowed
 
 

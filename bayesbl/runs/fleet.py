@@ -220,7 +220,7 @@ def _measured(
         for job in jobs:
             yield job, measure_joint(job)
         return
-    files = sorted({f for job in jobs for f in job.files})
+    files = sorted({file for job in jobs for file in job.named})
     yield from run_jobs(measure_joint, jobs, files, config.run, say, "joints")
 
 

@@ -38,7 +38,7 @@ def answer(job: JointJob, number: int) -> RecordingAnswer:
     """Refused where the content says so."""
     if "broken" in Path(job.recordings[number].file).read_text():
         return RecordingAnswer(REFUSED, "It is broken.")
-    gap = np.random.default_rng(int(job.sha256[number][:8], 16)).normal(1e-3, 1e-5, 100)
+    gap = np.random.default_rng(int(job.recordings[number].sha256[:8], 16)).normal(1e-3, 1e-5, 100)
     return RecordingAnswer("usable", None, route="direct", gap_rad=gap)
 
 
