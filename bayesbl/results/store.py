@@ -127,7 +127,6 @@ def read_tree(path: str | Path) -> xr.DataTree:
             expected=f"the output folder of a run; {makes}",
         )
     _require_intact(file)
-    _require_whole(file)
     with xr.open_datatree(file, engine="netcdf4") as opened:
         tree: xr.DataTree = opened.load()
     if tree.attrs[RESULT_MARK] != FORMAT_VERSION:
@@ -172,6 +171,7 @@ def write_text(text: str, path: str | Path) -> None:
 
 
 def _require_intact(file: Path) -> None:
+    """Check seal and structure, because whoever changes a file can seal it again."""
     with open(file, "rb") as stream:
         size = max(0, stream.seek(0, os.SEEK_END) - _BYTES)
         stream.seek(size)
@@ -187,31 +187,25 @@ def _require_intact(file: Path) -> None:
             expected="a result.nc as it was written; to make it again, `bayesbl run config.toml "
             "--force` in its folder",
         )
-    if not is_intact:
+    damage = "" if is_intact else "content that does not match its checksum"
+    content_bytes = 0.0
+    if is_intact:
+        try:
+            content_bytes = require_whole(file, partial(ResultError, file=file))
+        except (OSError, RuntimeError, ValueError):
+            damage = "no sound structure of groups and variables"
+    if damage:
         raise ResultError(
             "The result is damaged, or was changed after it was written.",
             file=file,
-            found="content that does not match its checksum",
+            found=damage,
             expected="a result.nc as bayesbl wrote it",
         )
-
-
-def _require_whole(file: Path) -> None:
-    """Check the structure too, because whoever changes a file can seal it again."""
-    try:
-        size = require_whole(file, partial(ResultError, file=file))
-    except (OSError, RuntimeError, ValueError):
-        raise ResultError(
-            "The result is damaged, or was changed after it was written.",
-            file=file,
-            found="no sound structure of groups and variables",
-            expected="a result.nc as bayesbl wrote it",
-        ) from None
-    if size > memory_bytes():
+    if content_bytes > memory_bytes():
         raise ResultError(
             "Reading this result takes too much memory.",
             file=file,
-            found=f"{size / 1e6:.5g} MB",
+            found=f"{content_bytes / 1e6:.5g} MB",
             expected=f"at most {memory_bytes() / 1e6:g} MB; the environment variable "
             f"{LIMIT_VARIABLE} raises the limit",
         )
