@@ -31,7 +31,7 @@ from bayesbl.fleet.measured_joint import FAILED, REFUSED, JointAnswer, Recording
 from bayesbl.fleet.pooled_rates import Borrowed, TypeRates, alarms, pooled
 from bayesbl.measurement.wear import WearDraws
 from bayesbl.results.folder import is_finished, locked_sibling, replacing, require_no_link
-from bayesbl.results.intervals import interval
+from bayesbl.results.store import interval
 from bayesbl.results.variables import table
 
 GROUP, ARRAY, ATTRIBUTES = ".zgroup", ".zarray", ".zattrs"

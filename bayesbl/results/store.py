@@ -3,7 +3,7 @@
 The last bytes of a result file are its seal, the SHA-256 of all bytes before them. The seal is
 checked before a library opens the file, since HDF5 may crash or hang on damaged bytes. HDF5 and
 NetCDF readers ignore bytes behind the end that a file states, and drop them when they change a
-file.
+file. Every ``summary.json`` has a :class:`Head`, and its intervals are an :class:`Interval` each.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import shlex
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict
+from typing import Any, BinaryIO, Literal, NotRequired, TypedDict
 
 import numpy as np
 import xarray as xr
@@ -26,10 +26,12 @@ from xarray.conventions import encode_dataset_coordinates
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError
+from bayesbl.probabilities import ends
 from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import FORMATS, RESULT_MARK
 from bayesbl.recording.hdf5 import require_whole
 from bayesbl.recording.input_bytes import LIMIT_VARIABLE, memory_bytes
+from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import replacing
 
 _MARK = b"\nbayesbl SHA-256 "
@@ -218,6 +220,43 @@ def _plain(value: object) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     raise TypeError(f"{type(value).__name__} is not for JSON")
+
+
+IntervalKind = Literal["equal_tailed", "hdi"]
+
+
+class Interval(TypedDict):
+    """Median, bounds and the probability between them; a rate also has its unit."""
+
+    median: float
+    low: float
+    high: float
+    level: float
+    kind: IntervalKind
+    unit: NotRequired[str]
+
+
+def interval(draws: FloatArray, level: float, kind: IntervalKind) -> Interval:
+    """Median and credible interval of draws, any shape.
+
+    ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest interval that
+    holds ``level``.
+    """
+    flat = np.sort(np.asarray(draws, dtype=float).ravel())
+    if kind == "hdi":
+        count = max(1, round(level * flat.size))
+        widths = flat[count - 1 :] - flat[: flat.size - count + 1]
+        first = int(np.argmin(widths))
+        low, high = flat[first], flat[first + count - 1]
+    else:
+        low, high = ends(flat, level)
+    return {
+        "median": float(np.median(flat)),
+        "low": float(low),
+        "high": float(high),
+        "level": level,
+        "kind": kind,
+    }
 
 
 class Origin(TypedDict):

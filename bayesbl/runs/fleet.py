@@ -53,9 +53,8 @@ from bayesbl.results.folder import (
     new_result,
     require_free,
 )
-from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import git_commit
-from bayesbl.results.store import Head, write_json, write_text
+from bayesbl.results.store import Head, interval, write_json, write_text
 from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan
