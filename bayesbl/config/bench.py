@@ -283,6 +283,7 @@ class _Spring(Section):
     # The effect, the key of the inertia, the effect's parameter for it, and the bench parameter
     # that counts it too, of which it is then a share.
     as_effect: ClassVar[tuple[str, str, str, str | None]]
+    further: ClassVar[tuple[str, ...]] = ()  # keys that are parameters of the effect as they are
 
     stiffness_nm_per_rad: AboveZero
     damping_nm_s_per_rad: EffectValue = EffectValue(value=0.0)
@@ -303,7 +304,8 @@ class _Spring(Section):
         ratio = EffectParameterValue(damping.value / critical, sd and sd / critical)
         compliance = _divided(EffectValue(value=1.0), stiffness)
         spring = {"compliance_rad_per_nm": compliance, "damping_ratio": ratio}
-        return BenchEffect(name, {**spring, parameter: own})
+        more = {key: getattr(self, key).parameter() for key in self.further}
+        return BenchEffect(name, {**spring, parameter: own, **more})
 
 
 def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
@@ -312,6 +314,16 @@ def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
     relative = [(item.parameter().sd or 0.0) / item.value for item in (above, below)]
     sd = abs(ratio) * math.hypot(*relative)
     return EffectParameterValue(ratio, sd or None)
+
+
+def _no_play(entry: EffectValue) -> EffectValue:
+    if entry.value != 0.0:
+        refuse(
+            "Play of the belt itself is not simulated.",
+            found=f"{entry.value:g}",
+            expected="0: a joint with a second play is withheld, not measured",
+        )
+    return entry
 
 
 class BeltSection(_Spring):
@@ -324,18 +336,7 @@ class BeltSection(_Spring):
     as_effect = ("belt", "reducer_inertia_kg_m2", "reducer_share", "motor_inertia_kg_m2")
 
     reducer_inertia_kg_m2: AboveZero
-    play_rad: EffectValue = EffectValue(value=0.0)
-
-    @field_validator("play_rad")
-    @classmethod
-    def _no_play(cls, entry: EffectValue) -> EffectValue:
-        if entry.value != 0.0:
-            refuse(
-                "Play of the belt itself is not simulated.",
-                found=f"{entry.value:g}",
-                expected="0: a joint with a second play is withheld, not measured",
-            )
-        return entry
+    play_rad: Annotated[EffectValue, AfterValidator(_no_play)] = EffectValue(value=0.0)
 
 
 class ArmSection(_Spring):
@@ -346,15 +347,10 @@ class ArmSection(_Spring):
     """
 
     as_effect = ("arm", "inertia_kg_m2", "inertia_share", "load_inertia_kg_m2")
+    further = ("gravity_share",)
 
     inertia_kg_m2: AboveZero
     gravity_share: EffectValue = EffectValue(value=0.5)
-
-    def effect(self, values: Values) -> BenchEffect:
-        """The bench's effect, with the share of gravity."""
-        spring = super().effect(values)
-        parts = {**spring.parameters, "gravity_share": self.gravity_share.parameter()}
-        return BenchEffect(spring.name, parts)
 
 
 class BaseSection(_Spring):
@@ -375,7 +371,7 @@ class GapSection(Section):
     sine: Items[EffectValue] = ()
 
     def require_sound(self) -> None:
-        for name, entries in (("cosine", self.cosine), ("sine", self.sine)):
+        for name, entries in self:
             if len(entries) > 2:
                 refuse(
                     "A gap varies by two harmonics of the load's angle at most.",
@@ -385,8 +381,11 @@ class GapSection(Section):
 
     def effect(self) -> BenchEffect:
         """The bench's effect."""
-        parts = {f"cosine_{k}": entry.parameter() for k, entry in enumerate(self.cosine, start=1)}
-        parts |= {f"sine_{k}": entry.parameter() for k, entry in enumerate(self.sine, start=1)}
+        parts = {
+            f"{name}_{k}": entry.parameter()
+            for name, entries in self
+            for k, entry in enumerate(entries, start=1)
+        }
         return BenchEffect("gap_variation", parts)
 
 

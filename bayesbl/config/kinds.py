@@ -6,7 +6,6 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from datetime import date as Date
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
@@ -21,6 +20,7 @@ from bayesbl.config.measurement import (
 )
 from bayesbl.config.sections import (
     SHORTEST_WAY_RAD,
+    AngleRange,
     BenchSource,
     ChannelName,
     ClusterRun,
@@ -37,16 +37,15 @@ from bayesbl.config.sections import (
     RecordedConfig,
     RunConfig,
     Section,
+    Seed,
     SnapshotRecording,
-    differently_named,
+    Workers,
+    differing_in,
     known_name,
     refuse,
     require_different,
     resolve,
-    two_angles,
 )
-
-Angles = Items[float]
 
 
 class _PointToPoint(Section):
@@ -66,41 +65,36 @@ class StrokesMotion(_PointToPoint):
     """Between two load angles and back."""
 
     kind: Literal["strokes"]
-    range_rad: Angles
+    range_rad: AngleRange
 
-    _range = field_validator("range_rad")(two_angles)
+
+def _that_move(points: tuple[float, ...]) -> tuple[float, ...]:
+    following = points[1:] + points[:1]
+    if len(points) < 2 or any(
+        abs(b - a) < SHORTEST_WAY_RAD for a, b in zip(points, following, strict=True)
+    ):
+        refuse(
+            "Successive points of a cycle must differ.",
+            found=list(points),
+            expected="two load angles or more in rad, each different from the one before",
+        )
+    return points
 
 
 class CycleMotion(_PointToPoint):
     """Through some load angles in turn, over and over."""
 
     kind: Literal["cycle"]
-    points_rad: Angles
-
-    @field_validator("points_rad")
-    @classmethod
-    def _that_move(cls, points: tuple[float, ...]) -> tuple[float, ...]:
-        following = points[1:] + points[:1]
-        if len(points) < 2 or any(
-            abs(b - a) < SHORTEST_WAY_RAD for a, b in zip(points, following, strict=True)
-        ):
-            refuse(
-                "Successive points of a cycle must differ.",
-                found=list(points),
-                expected="two load angles or more in rad, each different from the one before",
-            )
-        return points
+    points_rad: Annotated[Items[float], AfterValidator(_that_move)]
 
 
 class SineMotion(Section):
     """To and fro between two load angles, the angle a sine over time."""
 
     kind: Literal["sine"]
-    range_rad: Angles
+    range_rad: AngleRange
     period_s: Positive
     duration_s: Positive
-
-    _range = field_validator("range_rad")(two_angles)
 
 
 class TorqueRampMotion(Section):
@@ -153,8 +147,8 @@ class SimulatedRecording(Section):
 class SimulateRun(Section):
     """Without ``output``, a simulation writes its files beside the configuration."""
 
-    seed: int = Field(default=1, ge=0, lt=2**63)
-    workers: int = Field(default=1, ge=1, le=1024)
+    seed: Seed = 1
+    workers: Workers = 1
     output: OutputPath | None = None
 
 
@@ -166,17 +160,11 @@ class SimulateFile(Section):
     run: SimulateRun = SimulateRun()
     bench: BenchSource
     truth_file: str | None = Field(default=None, min_length=1)
-    recordings: Annotated[Items[SimulatedRecording], Field(min_length=1)]
-
-    @field_validator("recordings")
-    @classmethod
-    def _different_files(
-        cls, recordings: tuple[SimulatedRecording, ...]
-    ) -> tuple[SimulatedRecording, ...]:
-        for kind in ("name", "file"):
-            values = [getattr(recording, kind) for recording in recordings]
-            require_different(values, f"Two recordings have the same {kind}.")
-        return recordings
+    recordings: Annotated[
+        Items[SimulatedRecording],
+        Field(min_length=1),
+        AfterValidator(differing_in("name", "file")),
+    ]
 
 
 _PLACES = {"{joint}", "{date}"}
@@ -313,6 +301,17 @@ def word_or_names(
     return BeforeValidator(read)
 
 
+def _in_newton_metres(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if not name.endswith("_nm"):
+            refuse(
+                "A known torque is given in N m at the motor.",
+                found=f'"{name}"',
+                expected="a name ending in _nm; map the column to one under [columns]",
+            )
+    return names
+
+
 class Compared(Section):
     """``[comparison]``: how simulation and recordings are compared.
 
@@ -325,22 +324,10 @@ class Compared(Section):
 
     method: Method = "forward"
     channels: Items[ChannelName] = ()
-    known_torque: Items[str] = ()
+    known_torque: Annotated[Items[str], AfterValidator(_in_newton_metres)] = ()
     load_angle_known: bool = False
     motor_angle_known: bool = False
     cutoff_hz: Positive | None = None
-
-    @field_validator("known_torque")
-    @classmethod
-    def _in_newton_metres(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if not name.endswith("_nm"):
-                refuse(
-                    "A known torque is given in N m at the motor.",
-                    found=f'"{name}"',
-                    expected="a name ending in _nm; map the column to one under [columns]",
-                )
-        return names
 
 
 class Unknowns(Section):
@@ -380,7 +367,7 @@ class DiagnoseConfig(RecordedConfig):
     bench: BenchSource
     comparison: Compared = Field(default_factory=Compared)
     unknowns: Unknowns = Field(default_factory=Unknowns)
-    recordings: Annotated[Items[DiagnosedRecording], AfterValidator(differently_named)]
+    recordings: Annotated[Items[DiagnosedRecording], AfterValidator(differing_in("name"))]
     candidates: Candidates = Field(default_factory=Candidates)
     interval: Interval = Field(default_factory=Interval)
 
@@ -458,13 +445,11 @@ class Limits(Section):
     """``[limits]``: load angles; speed and acceleration of the motor; rests between strokes; length
     of the recording."""
 
-    range_rad: Items[float] = (-0.5, 0.5)
+    range_rad: AngleRange = (-0.5, 0.5)
     speed_rpm: Positive = 1500.0
     acceleration_rpm_per_s: Positive = 6000.0
     dwell_s: float = Field(default=0.15, ge=0.0)
     duration_s: float = Field(default=20.0, ge=1.0, le=600.0)
-
-    _range = field_validator("range_rad")(two_angles)
 
 
 class PlanConfig(RunConfig):
@@ -548,7 +533,7 @@ class IdentifyConfig(RecordedConfig):
     kind: Literal["identify"]
     bench: InputPath
     identify: Identify = Field(default_factory=Identify)
-    recordings: Annotated[Items[IdentifiedRecording], AfterValidator(differently_named)]
+    recordings: Annotated[Items[IdentifiedRecording], AfterValidator(differing_in("name"))]
     interval: Interval = Field(default_factory=Interval)
 
     def require_sound(self) -> None:
@@ -560,34 +545,30 @@ class IdentifyConfig(RecordedConfig):
             )
 
 
-KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
-    {
-        "fit": FitConfig,
-        "compare": CompareConfig,
-        "sweep": SweepConfig,
-        "plan": PlanConfig,
-        "diagnose": DiagnoseConfig,
-        "identify": IdentifyConfig,
-        "study": StudyConfig,
-        "fleet": FleetConfig,
-    }
-)
+KINDS: Mapping[str, type[RunConfig]] = {
+    "fit": FitConfig,
+    "compare": CompareConfig,
+    "sweep": SweepConfig,
+    "plan": PlanConfig,
+    "diagnose": DiagnoseConfig,
+    "identify": IdentifyConfig,
+    "study": StudyConfig,
+    "fleet": FleetConfig,
+}
 """Configuration model by kind."""
 
-FILES: Mapping[str, str] = MappingProxyType(
-    {
-        "fit": "one recording to measure",
-        "compare": "recordings to measure and compare",
-        "simulate": "recordings to make on a bench",
-        "sweep": "a bench to sweep over its gap",
-        "plan": "a bench whose motions are ranked",
-        "diagnose": "recordings, and the bench that should describe them",
-        "identify": "recordings, and the data sheet from which a bench is identified",
-        "study": "an experiment and its rows",
-        "fleet": "an inventory of joints, and where their recordings are",
-        "bench": "a virtual bench",
-    }
-)
+FILES: Mapping[str, str] = {
+    "fit": "one recording to measure",
+    "compare": "recordings to measure and compare",
+    "simulate": "recordings to make on a bench",
+    "sweep": "a bench to sweep over its gap",
+    "plan": "a bench whose motions are ranked",
+    "diagnose": "recordings, and the bench that should describe them",
+    "identify": "recordings, and the data sheet from which a bench is identified",
+    "study": "an experiment and its rows",
+    "fleet": "an inventory of joints, and where their recordings are",
+    "bench": "a virtual bench",
+}
 """What a file of each kind holds, in words."""
 
 RUNNABLE = tuple(kind for kind in FILES if kind != "bench")  # those that ``bayesbl run`` accepts

@@ -22,7 +22,7 @@ from bayesbl.config.sections import (
     ResultFile,
     Section,
     SnapshotRecording,
-    differently_named,
+    differing_in,
     refuse,
 )
 from bayesbl.errors import ConfigError
@@ -358,7 +358,7 @@ class SnapshotConfig(RecordedConfig):
                 found=f"{count} recording{'' if count == 1 else 's'}",
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
-        return differently_named(recordings)
+        return differing_in("name")(recordings)
 
     def entry_of(self, recording: str) -> MeasuredRecording:
         """The entry with this name."""
@@ -430,7 +430,8 @@ class CompareConfig(SnapshotConfig):
     @property
     def dates(self) -> tuple[Date, ...] | None:
         """Date of each recording; ``None`` unless all are dated."""
-        return _dates(self.recordings)
+        dates = tuple(one.date for one in self.recordings if one.date is not None)
+        return dates if len(dates) == len(self.recordings) else None
 
     @field_validator("recordings")
     @classmethod
@@ -445,11 +446,7 @@ class CompareConfig(SnapshotConfig):
                 expected="date = 2026-03-01 in every [[recordings]], or in none",
                 at=(undated[0],),
             )
-        dates = _dates(recordings)
-        if dates is None:
-            return recordings
-        order = sorted(range(len(dates)), key=dates.__getitem__)
-        return tuple(recordings[number] for number in order)
+        return tuple(sorted(recordings, key=lambda one: one.date or Date.min))
 
     def require_sound(self) -> None:
         super().require_sound()
@@ -485,8 +482,3 @@ class CompareConfig(SnapshotConfig):
                 expected="a later date",
                 at=("joint", "decide_before"),
             )
-
-
-def _dates(recordings: tuple[MeasuredRecording, ...]) -> tuple[Date, ...] | None:
-    dates = [recording.date for recording in recordings]
-    return tuple(d for d in dates if d is not None) if None not in dates else None

@@ -239,17 +239,13 @@ def digest_of_file(file: str) -> tuple[str | None, str | None]:
 
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
-    parts = re.split(r"(\{joint\}|\{date\})", pattern)
-    anything = "".join("*" if part.startswith("{") else escape(part) for part in parts)
-    groups: set[str] = set()
-    exact = ""
-    for part in parts:
-        name = part[1:-1] if part in ("{joint}", "{date}") else ""
-        again = f"(?P={name})" if name in groups else f"(?P<{name}>[^/]+)"
-        exact += again if name else re.escape(part)
-        groups.add(name)
+    parts = re.split(r"\{joint\}|\{date\}", pattern)
+    exact = re.escape(pattern)
+    for name in ("joint", "date"):
+        place = re.escape(f"{{{name}}}")
+        exact = exact.replace(place, f"(?P<{name}>[^/]+)", 1).replace(place, f"(?P={name})")
     fixed = parts[0].rpartition("/")[0]
-    for path in glob(anything):
+    for path in glob("*".join(map(escape, parts))):
         match = re.fullmatch(exact, path)
         if match and os.path.isfile(path):
             yield _within(fixed, _dated(match["joint"], match["date"], path))

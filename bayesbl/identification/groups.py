@@ -48,8 +48,7 @@ from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED
-from bayesbl.results.intervals import Interval, IntervalKind, interval
-from bayesbl.results.store import Head
+from bayesbl.results.store import Head, Interval, IntervalKind, interval
 from bayesbl.results.variables import dataset
 from bayesbl.sentences import flaws_in_words
 from bayesbl.units import in_words

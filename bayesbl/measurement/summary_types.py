@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Literal, NotRequired, TypedDict
 
 from bayesbl.measurement.measurement import JointCheck
-from bayesbl.results.intervals import Interval
-from bayesbl.results.store import Origin
+from bayesbl.results.store import Interval, Origin
 from bayesbl.sampling.convergence import Outcome
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         SamplerCheckSummary,
         SnapshotSummary,
     )
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
     from bayesbl.runs.kinds import Summary
 
 

@@ -12,7 +12,7 @@ from bayesbl.presentation.blocks import Block, Sentence, table
 from bayesbl.presentation.wear import LAWS, month
 
 if TYPE_CHECKING:
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
     from bayesbl.runs.fleet import FleetSummary
 
 Row = Mapping[str, Any]  # A row of a table of the fleet, or its summary

@@ -14,7 +14,7 @@ from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import RouteSummary
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
 
 RAREST = 1e-3  # thousands of draws cannot show probabilities closer to 0 or 1
 SURE = 0.95  # probability from which something is shown; below 1 minus this, its opposite

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayesbl.config.sections import Interval
+from bayesbl.fleet.broker import LARGEST_MESSAGE_BYTES, decoded_answer, encoded_answer
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.measured_joint import RecordingAnswer
-from bayesbl.fleet.message import LARGEST_MESSAGE_BYTES, decoded_answer, encoded_answer
 from bayesbl.fleet.plant_tables import recording_row
 
 JOINT = Joint(joint="R1-J2", limit_rad=1.2e-3)
