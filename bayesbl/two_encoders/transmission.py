@@ -534,7 +534,9 @@ class Model:
         if half_rad <= 0.0:
             return np.zeros(self.paths.motor_rad.size)
         path, how = self.paths, self.courses[course]
-        start = float(np.clip(self.lead, -half_rad, half_rad))
+        # Weight has moved a load to a flank before.
+        most = np.copysign(np.inf, self.lead) if how.weight else self.lead
+        start = float(np.clip(most, -half_rad, half_rad))
         if how.drives:
             motion = path.load_rad, path.speed, path.time_s
             return -np.asarray(load_lag(*motion, half_rad, how.drag, -start))
@@ -1036,24 +1038,31 @@ def _weights(
     transmission error, leaves as little as a light one over a large h.
     """
     first, how = len(model.courses), model.courses[best.course]
-    turn, rubbed = how.weight / abs(how.weight), np.sqrt(np.prod(RUBBED))
-    found = [model.cell(best.course, best.half_rad, noise, final) for noise in noises]
-    for pull in np.geomspace(*WEIGHT, WEIGHTS):
-        model.courses.append(how)
-        start = np.log([best.half_rad, pull * rubbed])
+    pulls = np.geomspace(*WEIGHT, WEIGHTS) * how.weight / abs(how.weight)
+    places = [
+        np.log([best.half_rad, abs(pull) * float(np.sqrt(np.prod(RUBBED)))]) for pull in pulls
+    ]
+    model.courses += [how] * WEIGHTS
+    for _ in range(MOST_ROUNDS):
+        found = [model.cell(best.course, best.half_rad, noise, final) for noise in noises]
+        for k, pull in enumerate(pulls.tolist()):
 
-        def at(point: FloatArray, weight: complex = complex(pull * turn)) -> Cell:
-            drag, half = float(np.exp(point[1])), float(np.exp(point[0]))
-            model.courses[-1] = replace(how, drag=drag, weight=weight)
-            cells = [model.cell(len(model.courses) - 1, half, noise, final) for noise in noises]
-            return max(cells, key=lambda cell: cell.log_evidence)
+            def at(point: FloatArray, course: int = first + k, weight: complex = pull) -> Cell:
+                half, drag = np.exp(point).tolist()
+                model.courses[course] = replace(how, drag=drag, weight=weight)
+                cells = [model.cell(course, half, noise, final) for noise in noises]
+                return max(cells, key=lambda cell: cell.log_evidence)
 
-        simplex = np.vstack([start, start + np.diag([0.2, 0.7])])
-        found.append(at(_lowest(lambda p, at=at: -at(p).log_evidence, simplex, 60)))
-    least = max(cell.log_evidence for cell in found) - UNLIKELY
-    flown = [model.final(cell, final.misfit_rad) for cell in found if cell.log_evidence > least]
-    passing = np.max([final.passing, *(each.passing for each in flown)], axis=0)
-    return list(range(first, len(model.courses))), replace(final, passing=passing)
+            simplex = np.vstack([places[k], places[k] + np.diag([0.2, 0.7])])
+            places[k] = _lowest(lambda p, at=at: -at(p).log_evidence, simplex, 40)
+            found.append(at(places[k]))
+        least = max(cell.log_evidence for cell in found) - UNLIKELY
+        flown = [model.final(cell, final.misfit_rad) for cell in found if cell.log_evidence > least]
+        passing = np.max([final.passing, *(each.passing for each in flown)], axis=0)
+        if np.all((passing > 0.0) == (final.passing > 0.0)):
+            break
+        final = replace(final, passing=passing)
+    return list(range(first, len(model.courses))), final
 
 
 def _mixed(
