@@ -10,13 +10,10 @@ load that friction and weight alone move until a flank takes it along.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
-from scipy.optimize import minimize_scalar
+from scipy.interpolate import CubicSpline
 
 from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
@@ -31,8 +28,8 @@ LONGEST_SKEW_S = 0.25
 """Within which the stamps of both channels may differ."""
 
 SMOOTH_S, COUNTS = 0.01, 100.0
-"""Over which a coarse encoder shows no motion slower than a count, and a share of the usual speed
-below which it does neither.
+"""Over which the motor's speed is averaged at most, and counts passed at its usual speed that are
+enough: a load leaves its flank where the motor begins to slow down.
 """
 
 FINE_S = 2e-3
@@ -136,7 +133,7 @@ class Paths:
         return float(np.sqrt(np.mean(self.acceleration**2)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Channels:
     """What was recorded, shapes (n,): positions that count turns, and the motor's torque."""
 
@@ -144,35 +141,6 @@ class Channels:
     motor_rad: FloatArray
     load_rad: FloatArray
     torque_nm: FloatArray | None = None
-
-    @cached_property
-    def motor_step_rad(self) -> float:
-        """Least change of the motor's reading, about a count."""
-        return _least_step(self.motor_rad)
-
-    @cached_property
-    def motor_path(self) -> CubicHermiteSpline:
-        """The motor's position over time, without the noise of its readings.
-
-        A smoothing spline: its acceleration is white noise, of a density with the largest evidence.
-        Readings scatter as neighbours show, in the middle so that impacts do not count, or by a
-        count at least. Between counts a load leaves its flank with the motor's speed, which
-        readings alone do not have.
-        """
-        stamps, motor, _, _ = _thinned(self)
-        variance = max(_scatter(stamps, motor), self.motor_step_rad / np.sqrt(12.0)) ** 2
-        fastest = np.log(max(float(np.mean(np.diff(motor, 2) ** 2)), variance))
-        fastest -= 3.0 * np.log(float(np.median(np.diff(stamps))))
-
-        def cost(log: float) -> float:
-            return -_smoothed(stamps, motor, float(np.exp(log)), variance)[0]
-
-        first = min(fastest - np.arange(0.0, 24.0, 2.0), key=cost)
-        best = minimize_scalar(
-            cost, bounds=(first - 2.0, first + 2.0), method="bounded", options={"xatol": 0.1}
-        )
-        _, position, speed = _smoothed(stamps, motor, float(np.exp(best.x)), variance)
-        return CubicHermiteSpline(stamps, position, speed)
 
     def slope(self) -> float:
         """The load over the motor: least squares; where a large play bends that, while both move.
@@ -233,7 +201,7 @@ def scaled_paths(
     ends left out, the samples and bins are the same for all skews up to that.
     """
     stamps, motor, load, torque = _thinned(channels)
-    path, step = channels.motor_path, abs(slope) * channels.motor_step_rad
+    path = CubicSpline(stamps, slope * motor)
     time = stamps - skew_s
     first, last = stamps[0] + edge_s, stamps[-1] - edge_s
     inside = (time >= stamps[0]) & (time <= stamps[-1]) & (stamps >= first) & (stamps <= last)
@@ -241,9 +209,12 @@ def scaled_paths(
     every = max(1, round(float(np.median(np.diff(time))) / FINE_S))
     parts = np.arange(every) / every
     fine = np.append((time[:-1, None] + np.diff(time)[:, None] * parts).ravel(), time[-1])
-    fine_speed = slope * path(fine, 1)
-    x, speed = slope * path(time), fine_speed[::every]
-    acceleration = np.gradient(moving_mean(fine_speed, fine, 3.0 * SMOOTH_S), fine)[::every]
+    step = abs(slope) * _least_step(channels.motor_rad)
+    raw = path(fine, 1)
+    over_s = min(COUNTS * step / max(float(np.std(raw)), 1e-300), SMOOTH_S)
+    fine_speed = moving_mean(raw, fine, over_s)
+    x, speed = path(time), fine_speed[::every]
+    acceleration = np.gradient(moving_mean(raw, fine, 3.0 * SMOOTH_S), fine)[::every]
     if torque is not None:
         torque = np.interp(time, stamps, torque) / slope
         turning = np.tanh(speed / (0.1 * float(np.sqrt(np.mean(speed**2))) + 1e-300))
@@ -260,7 +231,7 @@ def scaled_paths(
         torque,
         skew_s,
         fine,
-        slope * path(fine) - x.mean(),
+        path(fine) - x.mean(),
         fine_speed,
         every,
         _bins(time, path(time + skew_s, 1)),
@@ -268,56 +239,6 @@ def scaled_paths(
         step,
         np.abs(x - np.interp(time, stamps, slope * motor)),
     )
-
-
-def _scatter(stamps: FloatArray, values: FloatArray) -> float:
-    """Standard deviation of values about a path, by differences of the fourth order."""
-    near = sliding_window_view(stamps, 5)
-    gaps = near[:, :, None] - near[:, None, :] + np.eye(5)
-    weights = 1.0 / np.prod(gaps, axis=2)
-    differences = np.sum(weights * sliding_window_view(values, 5), axis=1)
-    return float(np.median(np.abs(differences) / np.linalg.norm(weights, axis=1))) / 0.6745
-
-
-@compiled()
-def _smoothed(
-    stamps: FloatArray, values: FloatArray, q: float, r: float
-) -> tuple[float, FloatArray, FloatArray]:  # pragma: no cover (compiled)
-    """Log evidence, position and speed, shapes (n,), by Kalman's filter and the smoother of Rauch,
-    Tung and Striebel.
-    """
-    size, log = values.size, 0.0
-    at, var = np.empty((size, 2)), np.empty((size, 3))
-    x, v, a, b, c = values[0], (values[1] - values[0]) / (stamps[1] - stamps[0]), 0.0, 0.0, 0.0
-    a = r
-    c = 2.0 * r / (stamps[1] - stamps[0]) ** 2
-    for i in range(size):
-        if i:
-            h = stamps[i] - stamps[i - 1]
-            x += h * v
-            a += h * (2.0 * b + h * c) + q * h**3 / 3.0
-            b += h * c + 0.5 * q * h * h
-            c += q * h
-        total = a + r
-        miss = values[i] - x
-        log -= 0.5 * (np.log(total) + miss * miss / total)
-        x += a / total * miss
-        v += b / total * miss
-        c -= b * b / total
-        b -= a * b / total
-        a -= a * a / total
-        at[i, 0], at[i, 1] = x, v
-        var[i, 0], var[i, 1], var[i, 2] = a, b, c
-    for i in range(size - 2, -1, -1):
-        h, (a, b, c) = stamps[i + 1] - stamps[i], var[i]
-        ahead = a + h * (2.0 * b + h * c) + q * h**3 / 3.0, b + h * c + 0.5 * q * h * h, c + q * h
-        whole = ahead[0] * ahead[2] - ahead[1] ** 2
-        miss, miss_v = at[i + 1, 0] - at[i, 0] - h * at[i, 1], at[i + 1, 1] - at[i, 1]
-        first = (ahead[2] * miss - ahead[1] * miss_v) / whole
-        second = (ahead[0] * miss_v - ahead[1] * miss) / whole
-        at[i, 0] += (a + h * b) * first + b * second
-        at[i, 1] += (b + h * c) * first + c * second
-    return log, at[:, 0].copy(), at[:, 1].copy()
 
 
 def _least_step(angle: FloatArray) -> float:

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -1038,31 +1039,24 @@ def _weights(
     transmission error, leaves as little as a light one over a large h.
     """
     first, how = len(model.courses), model.courses[best.course]
-    pulls = np.geomspace(*WEIGHT, WEIGHTS) * how.weight / abs(how.weight)
-    places = [
-        np.log([best.half_rad, abs(pull) * float(np.sqrt(np.prod(RUBBED)))]) for pull in pulls
-    ]
-    model.courses += [how] * WEIGHTS
-    for _ in range(MOST_ROUNDS):
-        found = [model.cell(best.course, best.half_rad, noise, final) for noise in noises]
-        for k, pull in enumerate(pulls.tolist()):
+    found = [model.cell(best.course, best.half_rad, noise, final) for noise in noises]
 
-            def at(point: FloatArray, course: int = first + k, weight: complex = pull) -> Cell:
-                half, drag = np.exp(point).tolist()
-                model.courses[course] = replace(how, drag=drag, weight=weight)
-                cells = [model.cell(course, half, noise, final) for noise in noises]
-                return max(cells, key=lambda cell: cell.log_evidence)
+    def at(point: FloatArray, weight: complex) -> Cell:
+        half, drag = np.exp(point).tolist()
+        model.courses[-1] = replace(how, drag=drag, weight=weight)
+        cells = [model.cell(len(model.courses) - 1, half, noise, final) for noise in noises]
+        return max(cells, key=lambda cell: cell.log_evidence)
 
-            simplex = np.vstack([places[k], places[k] + np.diag([0.2, 0.7])])
-            places[k] = _lowest(lambda p, at=at: -at(p).log_evidence, simplex, 40)
-            found.append(at(places[k]))
-        least = max(cell.log_evidence for cell in found) - UNLIKELY
-        flown = [model.final(cell, final.misfit_rad) for cell in found if cell.log_evidence > least]
-        passing = np.max([final.passing, *(each.passing for each in flown)], axis=0)
-        if np.all((passing > 0.0) == (final.passing > 0.0)):
-            break
-        final = replace(final, passing=passing)
-    return list(range(first, len(model.courses))), final
+    for weight in (np.geomspace(*WEIGHT, WEIGHTS) * how.weight / abs(how.weight)).tolist():
+        model.courses.append(how)
+        start = np.log([best.half_rad, abs(weight) * float(np.sqrt(np.prod(RUBBED)))])
+        simplex = np.vstack([start, start + np.diag([0.2, 0.7])])
+        cost = partial(lambda weight, point: -at(point, weight).log_evidence, weight)
+        found.append(at(_lowest(cost, simplex, 60), weight))
+    least = max(cell.log_evidence for cell in found) - UNLIKELY
+    flown = [model.final(cell, final.misfit_rad) for cell in found if cell.log_evidence > least]
+    passing = np.max([final.passing, *(each.passing for each in flown)], axis=0)
+    return list(range(first, len(model.courses))), replace(final, passing=passing)
 
 
 def _mixed(
