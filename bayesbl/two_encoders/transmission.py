@@ -1374,8 +1374,8 @@ def _drawn(
     # All weights are one course.
     weights = [k for k, how in enumerate(model.courses) if how.weight]
     tried, course = (np.array([c.course for c in each]) for each in lists)
-    for each in (tried, course):
-        each[np.isin(each, weights)] = min(weights, default=0)
+    for index in (tried, course):
+        index[np.isin(index, weights)] = min(weights, default=0)
     for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
         known = dict(zip(tried[:-1].tolist(), _of_courses(masses, tried), strict=True))
         if not model.design.one_speed:
