@@ -32,16 +32,8 @@ if TYPE_CHECKING:
     from bayesbl.config.loading import load_config
     from bayesbl.curve.gap_curve import GapCurve, published_curve
     from bayesbl.errors import UserError
-    from bayesbl.library import (
-        compare,
-        diagnose,
-        fit,
-        identify,
-        read_result,
-        run,
-        sweep,
-        write_page,
-    )
+    from bayesbl.library import compare, diagnose, fit, identify, read_result, run, sweep
+    from bayesbl.presentation.page.build import write_page
     from bayesbl.presentation.result_object import Result
     from bayesbl.recording.readers import read_recording
     from bayesbl.recording.types import Recording
@@ -79,7 +71,8 @@ _HOMES = {
         "bayesbl.config.loading": "load_config",
         "bayesbl.curve.gap_curve": "GapCurve published_curve",
         "bayesbl.errors": "UserError",
-        "bayesbl.library": "compare diagnose fit identify read_result run sweep write_page",
+        "bayesbl.library": "compare diagnose fit identify read_result run sweep",
+        "bayesbl.presentation.page.build": "write_page",
         "bayesbl.presentation.result_object": "Result",
         "bayesbl.recording.readers": "read_recording",
         "bayesbl.recording.types": "Recording",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
         Result,
         SweepResult,
     )
-    from bayesbl.progress import StageProgress
     from bayesbl.runs.kinds import Summary
 
 Route = Literal["auto", "direct", "amplitude", "torque_ramp", "two_encoders"]
@@ -225,18 +224,8 @@ def diagnose(
     UserError
         If configuration, bench or recordings cannot be used.
     """
-    from bayesbl.runs.diagnose import diagnosis_of
-
-    given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
-    result: DiagnosisResult
-    if not recordings:
-        result = _run_options(
-            "diagnose", (), config=config, bench=bench, progress=progress, **given
-        )
-        return result
-    with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
-        loaded, _ = diagnosis_of(files, config, bench=of_bench, **given)
-        result = _made(loaded, tell)
+    given = locals()
+    result: DiagnosisResult = _run_options("diagnose", given.pop("recordings"), **given)
     return result
 
 
@@ -301,20 +290,6 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
 
 
 @checked
-def write_page(result: File) -> Path:
-    """Write ``report.html`` beside a stored result; its path.
-
-    Raises
-    ------
-    UserError
-        If there is no finished result.
-    """
-    from bayesbl.presentation.page.build import write_page as write
-
-    return write(result)
-
-
-@checked
 def draw(
     tree: Tree, folder: Path, formats: Formats = ("png",), study: Path | None = None
 ) -> list[Path]:
@@ -369,9 +344,20 @@ def _run_options(
 ) -> Any:
     """The result object of options over a configuration."""
     from bayesbl.config.loading import config_from_options
+    from bayesbl.presentation import terminal
+    from bayesbl.presentation.result_object import result_of
+    from bayesbl.runs.kinds import result_of_run
 
-    with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
-        return _made(config_from_options(kind, files, config, dates, bench=of_bench, **given), tell)
+    shown = terminal.progress(terminal.make_console(stderr=True)) if progress else nullcontext()
+    loaded: RunConfig
+    with _files(recordings, bench) as (files, of_bench), shown as tell:
+        if kind == "diagnose" and files:
+            from bayesbl.runs.diagnose import diagnosis_of
+
+            loaded, _ = diagnosis_of(files, config, bench=of_bench, **given)
+        else:
+            loaded = config_from_options(kind, files, config, dates, bench=of_bench, **given)
+        return result_of(result_of_run(loaded, tell))
 
 
 @contextmanager
@@ -380,44 +366,19 @@ def _files(recordings: Sequence[Any], bench: Any) -> Iterator[tuple[list[Path], 
 
     Recordings in memory are named ``recording_1``, ``recording_2``, ….
     """
-    with tempfile.TemporaryDirectory(prefix="bayesbl-") as folder:
-        files = [
-            _written(Path(folder, f"recording_{place}.nc"), given)
-            if isinstance(given, Mapping)
-            else given
-            for place, given in enumerate(recordings, 1)
-        ]
-        if bench is None or isinstance(bench, Path):
-            yield files, bench
-            return
-        from bayesbl.config.bench import dump_bench
-
-        file = Path(folder, "bench.toml")
-        file.write_text(dump_bench(bench), encoding="utf-8")
-        yield files, file
-
-
-def _written(file: Path, columns: Mapping[str, Any]) -> Path:
     import xarray as xr
 
-    table = {name: ("sample", column) for name, column in columns.items()}
-    xr.Dataset(table).to_netcdf(file, engine="netcdf4")
-    return file
+    from bayesbl.config.bench import dump_bench
 
-
-def _made(config: RunConfig, tell: StageProgress | None) -> Any:
-    """The result object of a configuration."""
-    from bayesbl.presentation.result_object import result_of
-    from bayesbl.runs.kinds import result_of_run
-
-    return result_of(result_of_run(config, tell))
-
-
-def _shown(progress: bool) -> AbstractContextManager[StageProgress | None]:
-    """Progress, if it is to be shown."""
-    if not progress:
-        return nullcontext()
-    from bayesbl.presentation.terminal import make_console
-    from bayesbl.presentation.terminal import progress as bars
-
-    return bars(make_console(stderr=True))
+    with tempfile.TemporaryDirectory(prefix="bayesbl-") as folder:
+        files = list(recordings)
+        for place, given in enumerate(recordings):
+            if isinstance(given, Mapping):
+                table = {name: ("sample", column) for name, column in given.items()}
+                files[place] = Path(folder, f"recording_{place + 1}.nc")
+                xr.Dataset(table).to_netcdf(files[place], engine="netcdf4")
+        file = bench
+        if not (bench is None or isinstance(bench, Path)):
+            file = Path(folder, "bench.toml")
+            file.write_text(dump_bench(bench), encoding="utf-8")
+        yield files, file

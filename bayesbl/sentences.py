@@ -171,13 +171,9 @@ def quantity_changed(
     places = max(0, 2 - math.floor(math.log10(max(abs(measured - expected), 1e-9))))
     before, after = number(expected, places), number(measured, places)
     return (
-        f"The {quantity} {direction} from {before} to {after} {unit}{_in(recording)}: "
-        f"{CAUSES[quantity]}, not the gap."
+        f"The {quantity} {direction} from {before} to {after} {unit}"
+        f"{f' in {recording}' if recording else ''}: {CAUSES[quantity]}, not the gap."
     )
-
-
-def _in(recording: str) -> str:
-    return f" in {recording}" if recording else ""
 
 
 CAUSES = {
@@ -197,15 +193,13 @@ CAUSES = {
 
 UNSEEN_WITHOUT_CURRENT = "the speed controller's gains, the torque constant and friction"
 
-_TOO_SMALL = "too small for these recordings to show"
-
 
 def change_unseen(quantity: str, share: float | None) -> str:
     """How much a quantity may change; ``None`` if noise hides it."""
     change = f"a change of the {quantity}, which one of the recordings does not show"
     if share is not None:
         change = f"a change of the {quantity} by less than {100.0 * share:.2g} %"
-    return f"{change} ({CAUSES[quantity]}; {_TOO_SMALL})"
+    return f"{change} ({CAUSES[quantity]}; too small for these recordings to show)"
 
 
 def parameter_unseen(name: str, size: float, expected: float, unit: str) -> str:

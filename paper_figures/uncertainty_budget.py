@@ -21,7 +21,7 @@ from bayesbl.presentation.figures.style import (
     new_figure,
     plain_log_axis,
 )
-from bayesbl.presentation.words import source_in_words
+from bayesbl.presentation.words import in_words
 
 CURVES = {
     "wear_published": "eq. 4 as printed",
@@ -154,7 +154,7 @@ def caption(shown: xr.Dataset) -> str:
         share = 100.0 * float(last["share"].sel(source=largest))
         told.append(
             f"{curve}: one standard deviation of {100.0 * float(last['log_sd']):.1f} %, "
-            f"{share:.0f} % of its variance from the {source_in_words(str(largest))}"
+            f"{share:.0f} % of its variance from the {in_words(str(largest))}"
         )
     return (
         "Where the interval of δ comes from. (a) Share of each source in the variance of ln δ for "

@@ -102,10 +102,9 @@ def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) ->
     if json:
         import json as encoder
 
-        say(encoder.dumps({"kind": "simulate", "files": files}))
-    else:
-        for file in files:
-            say(file)
+        files = [encoder.dumps({"kind": "simulate", "files": files})]
+    for file in files:
+        say(file)
 
 
 _Value = TypeVar("_Value")
@@ -123,25 +122,20 @@ def _parser(read: Callable[[str], _Value], expected: str) -> Callable[[str], _Va
     return parse
 
 
-_PARSERS: Mapping[Any, Callable[[str], Any]] = {
-    int: _parser(int, "a whole number"),
-    float: _parser(float, "a number, with a decimal point"),
-    "RAD": _parser(float, "a number in rad, with a decimal point, e.g. 1.2e-3 for 1.2 mrad"),
-    list[date]: _parser(date.fromisoformat, "a date, e.g. 2026-03-01"),
-    date: _parser(date.fromisoformat, "a date, e.g. 2026-03-01"),
+_DATE = _parser(date.fromisoformat, "a date, e.g. 2026-03-01")
+_IN_RAD = "a number in rad, with a decimal point, e.g. 1.2e-3 for 1.2 mrad"
+_TYPES: Mapping[str, tuple[Any, Callable[[str], Any] | None]] = {
+    "path": (Path, None),
+    "text": (str, None),
+    "flag": (bool, None),
+    "whole": (int, _parser(int, "a whole number")),
+    "number": (float, _parser(float, "a number, with a decimal point")),
+    "rad": (float, _parser(float, _IN_RAD)),
+    "pair": (tuple[float, float], None),
+    "date": (date, _DATE),
+    "dates": (list[date], _DATE),
 }
-"""Parser by an option's unit, or else its type."""
-
-_TYPES: Mapping[str, Any] = {
-    "path": Path,
-    "text": str,
-    "flag": bool,
-    "whole": int,
-    "number": float,
-    "pair": tuple[float, float],
-    "date": date,
-    "dates": list[date],
-}
+"""Type and parser."""
 
 _OPTIONS = """
 config | path | FILE | Configuration; options override it.
@@ -167,7 +161,7 @@ check_sampler | flag | - | Sample the posterior again by nested sampling, and wi
     if the two differ (--route amplitude).
 limit | text | LIMIT | Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at
     0.4 m", "1 arcmin lost_motion at 3 %" (of the rated torque).
-limit_rad | number | RAD | Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ
+limit_rad | rad | RAD | Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ
     is half the total play.
 before | date | DATE | Also report the probability that the gap passes its limit before this
     date.
@@ -181,7 +175,7 @@ range_rad | pair | LOW HIGH | Load angles that a planned motion may reach, in ra
 speed_rpm | number | RPM | Largest speed of the motor. [default: 1500]
 acceleration_rpm_per_s | number | RPM/S | Largest acceleration of the motor. [default: 6000]
 duration_s | number | S | Length of the recording. [default: 20]
-gap_rad | number | RAD | Gap that the plan is calculated for. [default: 0.0008]
+gap_rad | rad | RAD | Gap that the plan is calculated for. [default: 0.0008]
 init.bench | flag | - | Write joint.toml instead, a data sheet of the joint to fill in.
 init.out | path | FILE | The file to write. [default: RECORDING.toml]
 init.joint | text | NAME | The joint to choose, if a file has several.
@@ -215,20 +209,15 @@ OPTIONS = {name: row for name, *row in (line.split(" | ") for line in _ROWS)}
 
 def _parameter(name: str, command: str) -> inspect.Parameter:
     of, unit, what = OPTIONS.get(f"{command}.{name}") or OPTIONS[name]
-    kind = _TYPES[of]
+    kind, parser = _TYPES[of]
     flag = "--date" if name == "dates" else "--" + name.replace("_", "-")
-    parser = _PARSERS.get(unit) or _PARSERS.get(kind)
-    option = (
-        typer.Option(flag, help=what)
-        if kind is bool
-        else typer.Option(flag, metavar=unit, help=what, parser=parser)
-    )
-    return inspect.Parameter(
-        name,
-        inspect.Parameter.KEYWORD_ONLY,
-        default=False if kind is bool else None,
-        annotation=Annotated[kind if kind is bool else kind | None, option],
-    )
+    default: bool | None = False
+    annotation: Any = Annotated[bool, typer.Option(flag, help=what)]
+    if kind is not bool:
+        option = typer.Option(flag, metavar=unit, help=what, parser=parser)
+        default, annotation = None, Annotated[kind | None, option]
+    only = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, only, default=default, annotation=annotation)
 
 
 def _takes(options: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -327,7 +316,6 @@ def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) ->
 
 def _print_findings(plan: Plan) -> None:
     """Print warnings and problems; exit if there is a problem."""
-
     for warning in plan.warnings:
         say(f"warning: {warning}")
     alike: dict[str, list[UserError]] = {}
@@ -420,17 +408,12 @@ def watch_command(
         plant_config = load_run(config, kind="fleet")
         assert isinstance(plant_config, FleetConfig)
         output = plant_config.run.output
-        asked = Watched(
-            folder,
-            given["out"] or output.with_name(output.name + _WATCHED),
-            address,
-            read_credentials(given["credentials"]),
-            given["once"],
-            SETTLED_S if given["settled_s"] is None else given["settled_s"],
-        )
+        output = given["out"] or output.with_name(output.name + _WATCHED)
+        settled_s = SETTLED_S if given["settled_s"] is None else given["settled_s"]
+        credentials = read_credentials(given["credentials"])
+        asked = Watched(folder, output, address, credentials, given["once"], settled_s)
         _log(None if address is None else address.open_to_others)
-        table = asked.output / RECORDINGS_FILE
-        _log(f"Watching {folder}; each recording becomes a row of {table}.")
+        _log(f"Watching {folder}; each recording becomes a row of {output / RECORDINGS_FILE}.")
         with _ended_by_signals():
             watch(plant_config, asked, _log, _tell)
 
@@ -456,7 +439,6 @@ def collect_command(
 
 def _log(text: str | None) -> None:
     """Print to standard error at once, for a service's journal."""
-
     if text is not None:
         say(text, err=True)
 

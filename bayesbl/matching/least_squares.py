@@ -14,6 +14,10 @@ from bayesbl.recording.types import FloatArray
 IDLE = 1e-100
 """Root of a curvature below which nothing depends on a coordinate, whatever its unit."""
 
+STEEPEST = 1e100
+"""Derivative from which a simulation has diverged: squares of it may overflow."""
+SHORTEST_STEP = 1e-12
+"""Shortest step of a derivative, relative to the coordinate: a shorter one is lost in rounding."""
 STEP_CHANGE = 4.0
 """Change of the whitened signals over a derivative's step, in standard deviations."""
 LONGEST_STEP = 0.25 * math.sqrt(12.0)
@@ -360,6 +364,7 @@ def _jacobian(
     steps = steps.copy()
     sides = 1.0 if one_sided else 2.0
     for attempt in range(4 if pending.size else 0):
+        steps = np.maximum(steps, SHORTEST_STEP * np.abs(point))
         points = np.repeat(point[None], 2 * pending.size, axis=0)
         ends = points[: pending.size], points[pending.size :]
         for row, i in enumerate(pending):
@@ -376,11 +381,12 @@ def _jacobian(
         repeated = []
         for row, i in enumerate(pending):
             change = float(np.linalg.norm(columns[:, i])) / sides
-            if not math.isfinite(change):
+            length = ends[0][row, i] - ends[1][row, i]
+            if not change < STEEPEST * length:
                 steps[i] *= 0.1
                 repeated.append(i)
                 continue
-            columns[:, i] /= ends[0][row, i] - ends[1][row, i]
+            columns[:, i] /= length
             better = steps[i] * float(np.clip(STEP_CHANGE / max(change, 1e-12), 1e-3, 1e3))
             better = min(better, LONGEST_STEP * model.unknowns[int(i)].prior_sd)
             if not 0.2 < change / STEP_CHANGE < 5.0 and not np.isclose(better, steps[i]):
@@ -389,5 +395,5 @@ def _jacobian(
         pending = np.array(repeated, dtype=int)
         if not pending.size or attempt == 3:
             break
-    columns[:, ~np.all(np.isfinite(columns), axis=0)] = 0.0
+    columns[:, ~(np.abs(columns).max(axis=0, initial=0.0) < STEEPEST)] = 0.0
     return columns, steps

@@ -1,12 +1,14 @@
-"""Sensor noise fed back by the speed loop, and its effect on the impacts.
+"""Noise that moves the motor, and its effect on the impacts.
 
-A controller responds to the noise of its speed sensor, so the motor moves with it. On a tooth flank
-this is linear. With S and H the loop's responses in speed and current, sensor noise n appears in
-the channels as S n and H n, a normal part of their noise. At an impact it is not linear: the load
-meets the flank earlier or harder, and the following ringing differs. So n is drawn, subtracted from
-the reference, and simulated on the fitted bench with its gap.
+A controller responds to the noise of its speed sensor, so the motor moves with it; varying friction
+moves it too. On a tooth flank this is linear. With S and H the loop's responses in speed and
+current, sensor noise n appears in the channels as S n and H n, and a torque K_t d at the motor as
+(S − 1) S d/H and (S − 1) d: both a normal part of their noise. At an impact it is not linear: the
+load meets the flank earlier or harder, and the following ringing differs. So the noise is drawn,
+subtracted from the reference as n or as S d/H, and simulated on the fitted bench with its gap.
 
-The current shows how much of the noise is fed back: noise added by the recorder does not move it.
+Recordings hardly show where the noise comes from, so both origins are equally likely. The current
+shows how much of it is in the loop: noise added by the recorder does not move it.
 """
 
 from __future__ import annotations
@@ -63,15 +65,16 @@ def turns_of(rows: FloatArray, observation: Observed) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopNoise:
-    """Noise of a recording that its loop feeds back.
+    """Noise of a recording that moves its motor, from one or two equally likely origins.
 
     Attributes
     ----------
     shares
-        Equally likely values of the share of its noise that is fed back, shape (k,).
+        For each origin, equally likely values of the share of the noise that is in the loop, shape
+        (o, k).
     fed_back, linear
-        Whitened rotations, as by :func:`turns_of`, with all noise fed back, and their linear
-        approximation, shape (R, c lag).
+        Whitened rotations, as by :func:`turns_of`, with all noise in the loop, and their linear
+        approximation, shape (o, R, c lag).
     """
 
     shares: FloatArray
@@ -79,7 +82,7 @@ class LoopNoise:
     linear: FloatArray
 
     def factors(self, direction: FloatArray) -> FloatArray:
-        """Equally likely variances of the recording's noise along a change of its rotations, (k,).
+        """Equally likely variances of the noise along a change of a recording's rotations, (o k,).
 
         ``direction``: change of the whitened rotations, (r, c lag). In units of the variance of
         whitened noise.
@@ -87,22 +90,25 @@ class LoopNoise:
         power = float(np.sum(direction**2))
         if power == 0.0:
             return np.ones(1)
-        excess_power = np.sum((self.fed_back @ direction.T) ** 2) - np.sum(
-            (self.linear @ direction.T) ** 2
+        excess_power = np.sum((self.fed_back @ direction.T) ** 2, axis=(1, 2)) - np.sum(
+            (self.linear @ direction.T) ** 2, axis=(1, 2)
         )
-        excess = float(excess_power) / (len(self.fed_back) * power)
-        return 1.0 + self.shares * max(excess, 0.0)
+        excess = excess_power / (self.fed_back.shape[1] * power)
+        return np.asarray(1.0 + self.shares * np.maximum(excess, 0.0)[:, None]).ravel()
 
     def degrees_of_freedom(self, parts: Callable[[FloatArray], FloatArray]) -> list[float]:
-        """Effective degrees of freedom of the noise power in some parts of a rotation, k values.
+        """Effective degrees of freedom of the noise power in some parts of a rotation, o k values.
 
         Noise that is not fed back has the same spectrum, independently.
 
         ``parts``: from rotations (R, c lag) to (R, d).
         """
-        fed_back, independent = parts(self.fed_back), parts(np.roll(self.linear, 1, axis=0))
-        mixes = zip(np.sqrt(self.shares), np.sqrt(1.0 - self.shares), strict=True)
-        return [degrees_of_freedom(a * fed_back + b * independent) for a, b in mixes]
+        degrees = []
+        for shares, fed_back, linear in zip(self.shares, self.fed_back, self.linear, strict=True):
+            in_loop, independent = parts(fed_back), parts(np.roll(linear, 1, axis=0))
+            mixes = zip(np.sqrt(shares), np.sqrt(1.0 - shares), strict=True)
+            degrees += [degrees_of_freedom(a * in_loop + b * independent) for a, b in mixes]
+        return degrees
 
     def chance(
         self, ratio: float, parts: Callable[[FloatArray], FloatArray], rotations: int
@@ -130,37 +136,37 @@ def degrees_of_freedom(rows: FloatArray) -> float:
     return float(np.clip(degrees, 1.0, rows.shape[1]))
 
 
-def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
-    """Function from a change of the whitened signals (N,) to likely variances of all noise.
+def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], float]:
+    """Function from a change of the whitened signals (N,) to the expected variance of all noise.
 
     In units of the recorder's variance, as :meth:`LoopNoise.factors` of each recording. For
     rounding that may be the same in all rotations, in units of its assumed variance.
     """
-    of_recording = cache(partial(_factors, fit))
+    of_recording = cache(partial(_factor, fit))
 
-    def factors(change: FloatArray) -> FloatArray:
-        total, summed = 0.0, np.zeros(len(QUANTILES))
+    def factor(change: FloatArray) -> float:
+        total, summed = 0.0, 0.0
         for recording, rows in enumerate(fit.model.by_recording(change)):
             direction = turns_of(rows, fit.model.recordings[recording])
             power = float(np.sum(direction**2))
             if power > 0.0:
                 summed += power * of_recording(recording)(direction)
                 total += power
-        return summed / total if total > 0.0 else np.ones(1)
+        return summed / total if total > 0.0 else 1.0
 
-    return factors
+    return factor
 
 
-def _factors(fit: SimulatedFit, recording: int) -> Callable[[FloatArray], FloatArray]:
-    """Noise factors of a recording, by loop noise or by rounding that repeats, (k,) or (1,)."""
+def _factor(fit: SimulatedFit, recording: int) -> Callable[[FloatArray], float]:
+    """Expected noise factor of a recording, by loop noise or by rounding that repeats."""
     if not fit.model.noise[recording].repeats:
         loop = loop_noise(fit, recording)
-        return loop.factors if loop is not None else lambda direction: np.ones(1)
+        return lambda direction: 1.0 if loop is None else float(loop.factors(direction).mean())
     rounded = rounded_rotations(fit, recording)
 
-    def by_rounding(direction: FloatArray) -> FloatArray:
+    def by_rounding(direction: FloatArray) -> float:
         total, power = direction.sum(axis=0), float(np.sum(direction**2))
-        return np.array([max([1.0, *(np.mean((rows @ total) ** 2) / power for rows in rounded)])])
+        return max([1.0, *(float(np.mean((rows @ total) ** 2)) / power for rows in rounded)])
 
     return by_rounding
 
@@ -173,46 +179,83 @@ def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
     if spectra is None:
         return None
     frequency, speed_power, cross_power = spectra
-    vector = model.vectors(fit.point[None], observation)
-    loop = _loop_responses(vector[0], observation)
-    in_speed, in_current = (np.interp(frequency, *row) for row in loop)
-    # Where the loop suppresses noise, little is visible, and that may have other causes.
-    usable = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
-    if not usable.size:
+    vector = model.vectors(fit.point[None], observation)[0]
+    frequencies = np.asarray(np.fft.rfftfreq(observation.samples), dtype=np.float64)
+    at_lines = _loop_responses(vector, observation, frequency)
+    responses = _loop_responses(vector, observation, frequencies)
+    shares, rotations = [], []
+    for origin in ("sensor", "motor"):
+        in_speed, in_current = at_lines
+        _, channels, beside = _of_origin(origin, *at_lines)
+        # Where the loop suppresses noise, little is visible, and that may have other causes.
+        is_seen = np.abs(channels[np.flatnonzero(beside)[0]]) >= 1.0
+        is_seen[0] = False  # a constant is not noise
+        usable = np.flatnonzero(is_seen & (speed_power > 0.0))
+        if not usable.size:
+            continue
+        likely = UNKNOWN_SHARES
+        if len(observation.signals) > 1:
+            gain, power = in_current[usable] / in_speed[usable], speed_power[usable]
+            weight = float(np.sum(power * np.abs(gain) ** 2))
+            share = float(np.sum(np.real(cross_power[usable] * gain.conj()))) / weight
+            unexplained_power = np.abs(cross_power[usable] - share * gain * power)
+            sd = math.sqrt(0.5 * float(np.sum((unexplained_power * np.abs(gain)) ** 2))) / weight
+            if share < LEAST_SHARE:
+                continue
+            likely = np.clip(share + sd * QUANTILES, 0.0, 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen = speed_power / np.abs(channels[0]) ** 2
+        lowest = frequency[usable] <= 2.0 * frequency[usable[0]]
+        level = float(seen[usable][lowest].mean())
+        # Elsewhere it is alike, but no more than all noise.
+        power = np.fmin(np.interp(frequency, frequency[usable], seen[usable], left=level), seen)
+        size = np.sqrt(np.interp(frequencies, frequency, power))
+        size[0] = 0.0
+        drawn = _rotations(
+            fit,
+            recording,
+            f"noise of the {origin}",
+            _noise(fit, recording, size, *_of_origin(origin, *responses)),
+        )
+        if np.all(np.isfinite(drawn)):
+            shares.append(likely)
+            rotations.append(drawn)
+    if not rotations:
         return None
-    shares = UNKNOWN_SHARES
-    if len(observation.signals) > 1:
-        gain, power = in_current[usable] / in_speed[usable], speed_power[usable]
-        weight = float(np.sum(power * np.abs(gain) ** 2))
-        share = float(np.sum(np.real(cross_power[usable] * gain.conj()))) / weight
-        unexplained_power = np.abs(cross_power[usable] - share * gain * power)
-        sd = math.sqrt(0.5 * float(np.sum((unexplained_power * np.abs(gain)) ** 2))) / weight
-        if share < LEAST_SHARE:
-            return None
-        shares = np.clip(share + sd * QUANTILES, 0.0, 1.0)
-    sensor_power = speed_power[usable] / np.abs(in_speed[usable]) ** 2
-    lowest = frequency[usable] <= 2.0 * frequency[usable[0]]
-    level = float(sensor_power[lowest].mean())
-    frequencies = np.fft.rfftfreq(observation.samples)
-    sensor = np.sqrt(np.interp(frequencies, frequency[usable], sensor_power, left=level))
-    linear = np.stack([np.interp(frequencies, *row) for row in loop])[: len(observation.signals)]
-    rotations = _rotations(
-        fit, recording, "noise in the loop", _noise(fit, recording, sensor, linear)
+    fed_back, linear = np.stack(rotations, axis=1)
+    return LoopNoise(np.stack(shares), fed_back, linear)
+
+
+def _of_origin(
+    origin: str, in_speed: ComplexArray, in_current: ComplexArray
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Responses to noise of the sensor, or to a torque of the motor, as a current.
+
+    Returns what to subtract from the reference, (f,), the noise in speed and current, (2, f), and
+    how much of the noise is in either channel without moving the motor, (2,).
+    """
+    if origin == "sensor":
+        channels = np.stack([in_speed, in_current])
+        return np.ones_like(in_speed), channels, np.array([1.0, 0.0])
+    reference = np.divide(
+        in_speed, in_current, out=np.zeros_like(in_speed), where=in_current != 0.0
     )
-    return LoopNoise(shares, *rotations) if np.all(np.isfinite(rotations)) else None
+    channels = (in_speed - 1.0) * np.stack([reference, np.ones_like(reference)])
+    return reference, channels, np.array([0.0, -1.0])
 
 
 def _loop_responses(
-    parameters: FloatArray, observation: Observed
-) -> tuple[tuple[FloatArray, ComplexArray], tuple[FloatArray, ComplexArray]]:
-    """Frequency responses S and H, each with its frequencies in cycles per sample."""
+    parameters: FloatArray, observation: Observed, frequencies: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Responses S and H at frequencies in cycles per sample."""
     impulse = np.zeros(min(observation.samples, observation.lag))
     impulse[0] = 1.0
     speed_response, current_response = noise_through_loop(
         parameters, impulse, 1.0 / observation.sampling_hz
     )
     grid = np.asarray(np.fft.rfftfreq(impulse.size), dtype=np.float64)
-    return (grid, np.fft.rfft(impulse + speed_response)), (grid, np.fft.rfft(current_response))
+    in_speed = np.interp(frequencies, grid, np.fft.rfft(impulse + speed_response))
+    return in_speed, np.interp(frequencies, grid, np.fft.rfft(current_response))
 
 
 def _spectra(
@@ -269,22 +312,33 @@ def _rotations(
 
 
 def _noise(
-    fit: SimulatedFit, recording: int, sensor: FloatArray, linear: ComplexArray
+    fit: SimulatedFit,
+    recording: int,
+    size: FloatArray,
+    reference: ComplexArray,
+    channels: ComplexArray,
+    beside: FloatArray,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Draws of noise in the loop, simulated and in the linear approximation.
 
-    ``sensor``: gain from white to sensor noise by frequency, (n//2 + 1,); ``linear``: response from
-    sensor noise to the channels, (c, n//2 + 1).
+    ``size``: gain from white to this noise by frequency, (n//2 + 1,); ``reference``, ``channels``,
+    ``beside``: of :func:`_of_origin`.
     """
-    observation = fit.model.recordings[recording]
+    model, observation = fit.model, fit.model.recordings[recording]
     undisturbed = _simulated(fit, recording, np.zeros(observation.samples), observation.sampling_hz)
+    count = len(observation.signals)
+    # A position loop also follows the integral of what is subtracted.
+    position_gain = model.vectors(fit.point[None], observation)[0, Slot.position_gain_per_s]
+    rate = 2.0j * math.pi * observation.sampling_hz * np.fft.rfftfreq(observation.samples)
+    rate[0] = 1.0
+    reference = reference * rate / (rate + position_gain)
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
     while True:
-        drawn = sensor * np.fft.rfft(rng.standard_normal(observation.samples))
-        disturbance = np.fft.irfft(drawn, observation.samples)
+        drawn = size * np.fft.rfft(rng.standard_normal(observation.samples))
+        disturbance = np.fft.irfft(reference * drawn, observation.samples)
         added = _simulated(fit, recording, disturbance, observation.sampling_hz) - undisturbed
-        added[0] += disturbance
-        yield added, np.fft.irfft(linear * drawn, observation.samples)
+        added += np.outer(beside[:count], np.fft.irfft(drawn, observation.samples))
+        yield added, np.fft.irfft(channels[:count] * drawn, observation.samples)
 
 
 def rounded_rotations(fit: SimulatedFit, recording: int) -> list[FloatArray]:

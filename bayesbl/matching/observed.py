@@ -22,6 +22,7 @@ from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.matching.motor_lines import MotorLines
 from bayesbl.noise.quantisation import Rounding, speed_steps
+from bayesbl.probabilities import FALSE_ALARM
 from bayesbl.recording.checks import (
     SPEED_AVERAGED_S,
     cycle_of,
@@ -403,6 +404,8 @@ def _require_current_sign(
     e is −K_p/K_t, or smaller if e contains noise outside the loop. Below them, ∫e and the position
     loop may reverse the sign. Far above them there is no ringing. There, the noise of a
     differentiated encoder, which a digital loop answers a tick later, alternates from tick to tick.
+    Sampled more slowly, it looks white: frequencies that do not stand out of the octave above are
+    left out.
     """
     if MOTOR_CURRENT not in recording.channels:
         return
@@ -431,6 +434,10 @@ def _require_current_sign(
     ringing = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") * inverse_inertia)
     highest = max(RINGING_BAND * corner, 2.0 * ringing)
     rings = (rate > corner) & (rate < highest)
+    power = np.abs(speed) ** 2
+    octave_above = power[(rate >= highest) & (rate < 2.0 * highest)]
+    noise = float(np.median(octave_above)) / math.log(2.0) if octave_above.size else 0.0
+    rings &= power > noise * math.log(rate.size / FALSE_ALARM)
     speed, current = speed[rings], current[rings]
     if reference_rpm is not None:
         feedforward = np.stack(

@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from bayesbl.config.measurement import KnownGap
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve
 from bayesbl.measurement.measurement import Reason, upper_bound
-from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, chi2_isf, normal_isf
+from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import effective_size, resampled
 
 CANDIDATES_PER_DRAW = 20
 CONTRADICTED = "ringing_contradicts_bench"
 """Code of the reason that frequency and decay contradict the curve's bench."""
+
+BENCHES_DRAWN = 10_000
+"""Draws behind the chance of such a contradiction: one in a thousand is then good to a third."""
 
 FEWEST_EFFECTIVE = 200.0
 """Fewest effective curve draws for which the ringing is used to weight them. At 200 the actual
@@ -110,7 +113,7 @@ def gaps(
     if isinstance(curves, GapCurve):
         curves = [curves] * len(snapshots)
     shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
-    (known_seed,) = pick_seed.spawn(1)
+    known_seed, check_seed = pick_seed.spawn(2)
     chains, count = snapshots[0].amplitude_rpm.shape
     has_ringing = all(curve.ringing is not None for curve in curves)
     can_weight = has_ringing and all("bench" in curve.sources for curve in curves)
@@ -127,12 +130,12 @@ def gaps(
     contradictions = [False] * len(snapshots)
     if has_ringing:
         matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
-        threshold = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
+        check_generator = np.random.default_rng(check_seed)
         contradictions = [
             # The sweep must cover this amplitude, so that its ringing is known there.
-            bool(-2.0 * match.max() > threshold)
-            and float(np.mean(curve.outside(amplitude) != 0.0)) < TOO_FEW
-            for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
+            float(np.mean(curve.outside(amplitude) != 0.0)) < TOO_FEW
+            and _chance(curve, snapshot, check_generator) < FALSE_ALARM / len(snapshots)
+            for curve, amplitude, snapshot in zip(curves, amplitudes, snapshots, strict=True)
         ]
         posterior_weights = prior + np.sum(matches, axis=0)
         effective = effective_size(posterior_weights)
@@ -199,21 +202,44 @@ def _log_match(
     covariance of the fit and of the start angle. It is conditional on A, which is already drawn
     from its own posterior."""
     curve = draws.curve
-    ringing = curve.ringing
-    assert ringing is not None
     _, scatter, _ = curve.ringing_at(snapshot.centre[0])
     slope, covariance = snapshot.given_amplitude(scatter)
     rows = draws.rows.get("bench", np.zeros(amplitude_rpm.size, dtype=np.int64))
+    measured = snapshot.centre[1:, None] + slope[:, None] * (amplitude_rpm - snapshot.centre[0])
+    return -0.5 * _squared(measured - _ringing_of(curve, rows, amplitude_rpm), covariance)
+
+
+def _ringing_of(curve: GapCurve, rows: NDArray[np.int64], amplitude_rpm: FloatArray) -> FloatArray:
+    """(ln ω, ln τ) of drawn benches at amplitudes, (k,) each to (2, k)."""
+    ringing = curve.ringing
+    assert ringing is not None
     tables = (
         ringing.log_frequency + ringing.frequency_draws,
         ringing.log_decay + ringing.decay_draws,
     )
-    expected = [curve.at_rows(table, rows, amplitude_rpm) for table in tables]
-    measured = snapshot.centre[1:, None] + slope[:, None] * (amplitude_rpm - snapshot.centre[0])
-    difference = measured - np.stack(expected)
-    return np.asarray(
-        -0.5 * np.einsum("ik,ij,jk->k", difference, np.linalg.inv(covariance), difference)
-    )
+    return np.stack([curve.at_rows(table, rows, amplitude_rpm) for table in tables])
+
+
+def _squared(difference: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared distance of each difference (2, k) in units of a covariance (2, 2), shape (k,)."""
+    precision = np.linalg.inv(covariance)
+    return np.asarray(np.einsum("ik,ij,jk->k", difference, precision, difference))
+
+
+def _chance(curve: GapCurve, snapshot: MeasuredRinging, generator: np.random.Generator) -> float:
+    """Probability that a bench within its tolerances seems to ring at least as unlike the expected
+    one, at the measured amplitude."""
+    assert curve.ringing is not None
+    amplitude = np.full(BENCHES_DRAWN, snapshot.centre[0])
+    _, scatter, _ = curve.ringing_at(snapshot.centre[0])
+    _, covariance = snapshot.given_amplitude(scatter)
+    rows = generator.integers(len(curve.ringing.frequency_draws), size=BENCHES_DRAWN)
+    drawn = _ringing_of(curve, rows, amplitude)
+    drawn += generator.multivariate_normal(np.zeros(2), covariance, BENCHES_DRAWN).T
+    expected = drawn.mean(axis=1, keepdims=True)
+    spread = np.cov(drawn)
+    (measured,) = _squared(snapshot.centre[1:, None] - expected, spread)
+    return float(np.mean(_squared(drawn - expected, spread) >= measured))
 
 
 def _log(values: FloatArray) -> FloatArray:

@@ -69,9 +69,6 @@ HARMONICS = (1, 2)
 SMOOTHED = 31
 """Load orders over which the noise spectrum is smoothed: less than the width of the ringing."""
 
-STANDS_OUT = 4.0
-"""Least ratio of the power of the speed error to that of its noise at an order that is used."""
-
 FEWEST_ORDERS = 6
 ROUNDS = 8
 
@@ -164,8 +161,9 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
 
     At every load order k, the mean over rotations of speed error E_k and current I_k has noise. Its
     covariance comes from the scatter between rotations, smoothed over ``SMOOTHED`` orders. The true
-    E_k is estimated with the gains (errors in variables), by Gauss-Newton. Orders at which the
-    speed error is mostly noise are left out.
+    E_k is estimated with the gains (errors in variables), by Gauss-Newton. Orders at which noise
+    alone could make the speed error are left out: in noise that stands out by chance, the current
+    answers the noise.
 
     Returns both gains; empty without a current, or if too few orders stand out. ``folded`` as
     :func:`features` takes it.
@@ -182,7 +180,7 @@ def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:
     scatter = spectrum - spectrum.mean(axis=1, keepdims=True)
     noise = np.einsum("irk,jrk->ijk", scatter, scatter.conj()) / (rotations * (rotations - 1))
     noise = uniform_filter1d(noise.real, SMOOTHED) + 1j * uniform_filter1d(noise.imag, SMOOTHED)
-    used = np.abs(error) ** 2 > STANDS_OUT * noise[0, 0].real
+    used = np.abs(error) ** 2 > math.log(error.size / FALSE_ALARM) * noise[0, 0].real
     if np.count_nonzero(used) < FEWEST_ORDERS:
         return []
     error, current, noise = error[used], current[used], noise[:, :, used]

@@ -74,11 +74,9 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         summary |= {"reason": _reason_of_all(measured), **_compared(measured, ringing, config)}
         summary["wear"] = None
         if wear is not None:
-            dated = summarise_wear(
-                wear, task.names, config.interval, limit_rad, tree.attrs.get("limit")
-            )
+            of_joint = task.names, config.interval, limit_rad, tree.attrs.get("limit")
             reason = None if wear_reason is None else wear_reason.stored
-            summary["wear"] = {**dated, "reason": reason}
+            summary["wear"] = {**summarise_wear(wear, *of_joint), "reason": reason}
     else:
         summary |= _answered(measured, 0, config)
         summary["reason"] = summary["reason"] or _reason_of_all(measured)
@@ -198,6 +196,7 @@ def _compared(measured: Measurement, ringing: Measurement, config: CompareConfig
     # With a curve, it is δ that is withheld, perhaps for the curve alone: report the ringing.
     is_told = ringing.curve or not any(ringing.answers[end].is_withheld for end in (0, -1))
     ringing_change = ringing.ringing_change if is_told else None
+    grew = None if ringing_change is None else float(np.mean(ringing_change > 0.0))
     return {
         "snapshots": snapshots,
         **_change(measured, 0, last, config),
@@ -206,9 +205,7 @@ def _compared(measured: Measurement, ringing: Measurement, config: CompareConfig
             for n, (before, after) in enumerate(pairwise(a.name for a in measured.answers))
         ],
         "ringing_change": None if ringing_change is None else _interval(ringing_change, config),
-        "probability_ringing_grew": None
-        if ringing_change is None
-        else float(np.mean(ringing_change > 0.0)),
+        "probability_ringing_grew": grew,
         "same_joint": measured.same_joint,
         "routes": {
             result.route: {

@@ -280,7 +280,8 @@ class WearSummary(TypedDict):
     snapshot, ``rate_now`` the rate at the last one by the laws. ``scatter_rad_per_root_year`` is
     irregular wear, ``None`` with fewer than four snapshots. ``relative_sd_per_date`` is as
     configured; ``drift_widens`` is the factor by which it widens the rate. ``years_to_limit`` count
-    from the last snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead.
+    from the last snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead. If no rate
+    can be given, ``reason`` says why, and all values of the rate are null.
     """
 
     snapshots: list[str]
@@ -303,18 +304,7 @@ class WearSummary(TypedDict):
     not_before: NotBefore | None
     probability_before: ProbabilityBefore | None
     forecast_from_prior: ForecastFromPrior | None
-    reason: None
-
-
-class WithheldWearSummary(TypedDict):
-    """Wear in time if no rate can be given: all its values are null, and ``reason`` says why."""
-
-    snapshots: list[str]
-    first_date: str
-    last_date: str
-    level: float
-    limit_rad: float | None
-    reason: ReasonSummary
+    reason: ReasonSummary | None
 
 
 class ComparisonSummary(_Measured):
@@ -335,7 +325,7 @@ class ComparisonSummary(_Measured):
     probability_ringing_grew: float | None
     same_joint: JointCheck
     routes: dict[str, ChangeSummary]
-    wear: WearSummary | WithheldWearSummary | None
+    wear: WearSummary | None
 
 
 MeasuredSummary = FitSummary | ComparisonSummary

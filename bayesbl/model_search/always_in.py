@@ -926,9 +926,9 @@ def marginalised(
 
     ``linear_posterior``: posterior of the terms linearised at the fit.
 
-    If the recordings show that the gap's edges are soft, δ is as uncertain as these edges are wide:
-    where teeth begin to touch depends on the contact law, which no recording shows. All snapshots
-    share this error.
+    δ is as uncertain as the gap's edges are wide: where teeth begin to touch depends on the contact
+    law, which no recording shows. The arctan has edges of 1/α, and the recordings may show wider
+    ones. All snapshots share this error.
 
     A draw that would leave the ranges of the unknowns gets another draw's shift. If nearly every
     shift leaves them, it stops at the ends of the ranges: without a shift, δ would be as certain as
@@ -937,7 +937,10 @@ def marginalised(
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
-    edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
+    sharp_rad = 0.0
+    if model.bench.gap_form == "arctan":
+        sharp_rad = 1.0 / model.bench.value("stiffness_sharpness_per_rad")
+    edge_sd_rad = np.sqrt(edge_variances(posterior).ravel() + sharp_rad**2)
     misfit_sd = misfit_shift_sd(posterior.fit, linear_posterior)
     shifts = linear_posterior.draw(rng, len(flat)).shift
     moved, outside = flat.copy(), np.arange(len(flat))

@@ -723,7 +723,8 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
         channels = len(observation.signals)
         excess = np.zeros((1, channels, observation.lag))
         if loop is not None:
-            excess = (loop.fed_back - loop.linear).reshape(len(loop.fed_back), channels, -1)
+            excess = np.concatenate(loop.fed_back - loop.linear)
+            excess = excess.reshape(len(excess), channels, -1)
             excess = excess * math.sqrt(float(loop.shares.mean()) / len(excess))
         bands = [b for k in range(channels) for b in _spectral_bands(excess[:, k].T, observation)]
         stacked = np.concatenate(bands)

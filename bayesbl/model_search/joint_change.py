@@ -505,7 +505,7 @@ def _largest_hidden(
     derivatives: FloatArray,
     gradient: FloatArray,
     threshold: float,
-    noise: Callable[[FloatArray], FloatArray],
+    noise: Callable[[FloatArray], float],
 ) -> HiddenChange:
     """The undetected change that moves δ most: max |pᵀη| with ηᵀIη = least².
 
@@ -521,7 +521,7 @@ def _largest_hidden(
     if reach > 0.0:
         hidden *= threshold / reach
         projected = matrix @ hidden - derivatives @ (shifts @ hidden)
-        hidden *= math.sqrt(float(np.mean(noise(projected))))
+        hidden *= math.sqrt(noise(projected))
     index = candidate.amplitudes[0]
     unknown, expected = candidate.unknowns[index], float(candidate.neutral[index])
     norm = float(np.linalg.norm(hidden))

@@ -8,13 +8,14 @@ a disagreement comes first.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeGuard
 
 from bayesbl.presentation import wear, words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
-from bayesbl.presentation.words import SURE, interval_kind, route_in_words
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
+from bayesbl.presentation.words import SURE, interval_kind
 from bayesbl.units import in_words as name_in_words
 from bayesbl.units import number, quantity_and_unit
 
@@ -200,10 +201,10 @@ def which(summary: MeasuredSummary) -> str | None:
     if len(first["routes"]) < 2 or summary["answer"]["code"] == "only_route":
         return None
     own = summary["answer"]
-    uses = "; ".join(f"{route_in_words(part['route'])} {_uses(part)}" for part in answering(first))
+    uses = "; ".join(f"{words.in_words(part['route'])} {_uses(part)}" for part in answering(first))
     because = own["text"].rstrip(".")
     return (
-        f"The answer is the estimate by {route_in_words(own['route'])}, because {because}. "
+        f"The answer is the estimate by {words.in_words(own['route'])}, because {because}. "
         f"{words.capitalised(uses)}."
     )
 
@@ -221,17 +222,16 @@ def _uses(route: RouteSummary) -> str:
 
 def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
     """Why another route has no answer, unless that is why this one answers."""
-    reasons: dict[tuple[str, str], list[str]] = {}
+    reasons = defaultdict[tuple[str, str], list[str]](list)
     for name, part in parts:
         listed = part["diagnostics"]["reasons"]
         causes = tuple(cause["text"] for one in listed for cause in one.get("because", ()))
         for route, other in part["routes"].items():
             reason = other["reason"]
-            if route == part["route"] or reason is None or reason["text"].startswith(causes):
-                continue
-            reasons.setdefault((route, reason["text"]), []).append(name)
+            if not (route == part["route"] or reason is None or reason["text"].startswith(causes)):
+                reasons[route, reason["text"]].append(name)
     for (route, why), names in reasons.items():
-        yield f"No answer by {route_in_words(route)}{words.of(*names)}: {why}"
+        yield f"No answer by {words.in_words(route)}{words.of(*names)}: {why}"
 
 
 def grew(value: float) -> str:
@@ -243,25 +243,22 @@ def shrinkage(summary: MeasuredSummary) -> str | None:
     """A sentence if a gap is smaller than before, and no repair is stated."""
     if summary["kind"] != "compare" or summary["change_rad"] is None:
         return None
-    dated = summary["wear"]
-    if dated is not None:
-        if dated["reason"] is not None and dated["reason"]["code"] in ("gap_shrank", "gap_fell"):
-            return dated["reason"]["text"]
-        return None
+    if (dated := summary["wear"]) is not None:
+        why = dated["reason"]
+        return why["text"] if why and why["code"] in ("gap_shrank", "gap_fell") else None
     shrank = summary["change_rad"]["high"] < 0.0 and wear.other_cause(summary) is None
     return SHRANK if shrank else None
 
 
 def steps(summary: MeasuredSummary) -> Iterator[str]:
     """Each change between neighbours, if there are more than two snapshots."""
-    if summary["kind"] != "compare":
+    if summary["kind"] != "compare" or len(summary["changes"]) == 1:
         return
-    changes, unless = summary["changes"], wear.unless(summary)
-    for step in changes if len(changes) > 1 else []:
+    for step in summary["changes"]:
         change, growth = step["change_rad"], step["probability_increase"]
         text = "withheld"
         if change is not None and growth is not None:
-            text = f"{words.in_mrad(change)}; {grew(growth)}{unless}"
+            text = f"{words.in_mrad(change)}; {grew(growth)}{wear.unless(summary)}"
         yield f"From {step['from']} to {step['to']}: {text}."
 
 
@@ -305,7 +302,7 @@ def budget(summary: MeasuredSummary) -> Iterator[str]:
     for name, part in snapshots(summary):
         shares = sorted(part["budget"].items(), key=lambda item: -item[1])
         each = [
-            f"{words.source_in_words(source)} {words.probability(share)}"
+            f"{words.in_words(source)} {words.probability(share)}"
             for source, share in shares
             if share >= words.RAREST and part["delta_rad"] is not None
         ]
@@ -336,11 +333,10 @@ def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
 
     The names of the snapshots concerned come first.
     """
-    names: dict[tuple[str, str], list[str]] = {}
+    names = defaultdict[tuple[str, str], list[str]](list)
     for name, part in snapshots(summary):
         for reason in part["diagnostics"]["reasons"]:
-            label = "Withheld" if reason["withholds"] else "Note"
-            names.setdefault((label, reason["text"]), []).append(name)
+            names["Withheld" if reason["withholds"] else "Note", reason["text"]].append(name)
     for (label, sentence), whose in names.items():
         yield label, f"{', '.join(whose)}: {sentence}" if any(whose) else sentence
 
@@ -358,27 +354,23 @@ def sampler_check(check: SamplerCheckSummary) -> str:
 def _gap_table(summary: MeasuredSummary) -> Table:
     """A row for each snapshot and for the change; columns for each route."""
     parts = snapshots(summary)
-    named = [text("Snapshot")] if summary["kind"] == "compare" else []
+    columns = ["Snapshot"] * (summary["kind"] == "compare")
     routes = [route["route"] for route in answering(parts[0][1])]
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
     kind = words.interval_kind(first or next(iter(parts[0][1]["parameters"].values())))
-    columns = [*named]
     for route in routes:
-        by = (
-            f"{words.capitalised(route_in_words(route).removeprefix('the '))}\n"
-            if len(routes) > 1
-            else "Gap "
-        )
-        columns += [numbers(f"{by}δ (mrad)"), numbers(f"{kind}\n(mrad)")]
+        way = words.capitalised(words.in_words(route).removeprefix("the "))
+        by = f"{way}\n" if len(routes) > 1 else "Gap "
+        columns += [f"#{by}δ (mrad)", f"#{kind}\n(mrad)"]
     beside = _play_columns(parts[0][1])
-    columns += [*map(numbers, beside), text("Outcome")]
+    columns += [*beside, "Outcome"]
     rows = []
     for name, part in parts:
-        cells = [name] * len(named)
+        cells = [name] * (summary["kind"] == "compare")
         for own in (part["routes"][route] for route in routes):
             cells += words.gap_cells(own["delta_rad"], own["delta_upper_bound_rad"])
         cells += [shown(part) for shown in beside.values()]
-        rows.append([*cells, _outcome(part) if beside else part["diagnostics"]["outcome"]])
+        rows.append([*cells, _outcome(part)])
     if summary["kind"] == "compare":
         cells = ["change", *words.gap_cells(summary["change_rad"])]
         for route in routes[1:]:
@@ -391,8 +383,8 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     """The ringing of each snapshot: A, τ, ω, and how well the waveform fits."""
     from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
-    named = [text("Ringing")] if summary["kind"] == "compare" else []
-    titles = ("A\n(rpm)", "τ\n(1/s)", "1/τ\n(ms)", "ω/2π\n(Hz)", "RMSE\n(rpm)", "Noise sd\n(rpm)")
+    named = ["Ringing"] * (summary["kind"] == "compare")
+    titles = ["#A\n(rpm)", "#τ\n(1/s)", "#1/τ\n(ms)", "#ω/2π\n(Hz)", "#RMSE\n(rpm)"]
     rows = []
     for name, part in snapshots(summary):
         ringing = with_ringing(part)
@@ -410,7 +402,7 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
             f"{ringing['noise']['sd_rpm']:.2f}",
         ]
         rows.append([name] * len(named) + cells)
-    return table([*named, *map(numbers, titles)], rows)
+    return table([*named, *titles, "#Noise sd\n(rpm)"], rows)
 
 
 _AGAIN = {
@@ -431,14 +423,9 @@ def advice(summary: MeasuredSummary) -> Advice:
         return _of_ringing(summary)
     if last["delta_rad"] is None:
         again = next((how for key, how in _AGAIN.items() if key in last), _LONGER)
-        return Advice(
-            "withheld",
-            "Do not decide from these recordings.",
-            (
-                *(why for label, why in reasons(summary) if label == "Withheld"),
-                f"Fix this, or record again, {again}; until then, decide without this measurement.",
-            ),
-        )
+        why = [sentence for label, sentence in reasons(summary) if label == "Withheld"]
+        why += [f"Fix this, or record again, {again}; until then, decide without this measurement."]
+        return Advice("withheld", "Do not decide from these recordings.", tuple(why))
     head = _verdict(summary, last)
     if shrinkage(summary) is not None and head.tone != "act":
         title = "Do not decide: are the files in order, or was the joint repaired?"
@@ -492,11 +479,9 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
 def _of_ringing(summary: MeasuredSummary) -> Advice:
     """Advice for a ringing without a gap curve."""
     if summary["kind"] == "compare" and not summary["same_joint"]["agrees"]:
-        return Advice(
-            "watch",
-            "Find out what changed besides the gap.",
-            (*(one["text"] for one in summary["same_joint"]["findings"]), _why(summary)),
-        )
+        found = [one["text"] for one in summary["same_joint"]["findings"]]
+        title = "Find out what changed besides the gap."
+        return Advice("watch", title, (*found, _why(summary)))
     grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
     title = "The ringing grew. To learn how much the gap grew, describe the joint in a bench file."
     if not grew:
@@ -546,8 +531,7 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
                 "same, unless a change is reported."
             )
         else:
-            same = "same joint, controller and load"
-            yield f"Only the gap changed between the snapshots: {same}."
+            yield "Only the gap changed between the snapshots: same joint, controller and load."
     interval = last["delta_rad"] or last["amplitude_rpm"]
     if interval is not None:
         yield (
@@ -590,26 +574,25 @@ def _no_play_by_ramps(part: SnapshotSummary) -> str | None:
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
         "These ramps show no play: the joint is stiffer around zero torque than at larger torque; "
-        f"{up_to}. "
-        f"Any gap δ that this hides is below {most} mrad."
+        f"{up_to}. Any gap δ that this hides is below {most} mrad."
     )
 
 
 def _play_columns(part: SnapshotSummary) -> dict[str, Callable[[SnapshotSummary], str]]:
-    """Further columns of a route that measures the play, by title."""
+    """Further columns of numbers of a route that measures the play, by title."""
     if "ramps" in part:
         at = words.significant(part["lost_motion_torque_nm"])
         return {
-            f"Lost motion\n±{at} N m\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
-            "Compliance\n(mrad/N m)": lambda p: _median(p["compliance_rad_per_nm"], 1e3),
-            "Friction\n(N m)": lambda p: _median(p["friction_torque_nm"]),
+            f"#Lost motion\n±{at} N m\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "#Compliance\n(mrad/N m)": lambda p: _median(p["compliance_rad_per_nm"], 1e3),
+            "#Friction\n(N m)": lambda p: _median(p["friction_torque_nm"]),
         }
     if "reversals" in part:
         return {
-            "Play 2δ\n(mrad)": lambda p: _median(p["play_rad"], 1e3),
-            "Lost motion\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
-            "Skew\n(ms)": lambda p: words.bounds(p["channel_skew_s"], 1e3),
-            "Gear\nratio": lambda p: words.middle(p["gear_ratio"]),
+            "#Play 2δ\n(mrad)": lambda p: _median(p["play_rad"], 1e3),
+            "#Lost motion\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "#Skew\n(ms)": lambda p: words.bounds(p["channel_skew_s"], 1e3),
+            "#Gear\nratio": lambda p: words.middle(p["gear_ratio"]),
         }
     return {}
 

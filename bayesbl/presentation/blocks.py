@@ -4,47 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
-Tone = Literal["", "answer", "withheld", "aside", "warning"]
-
-
-@dataclass(frozen=True, slots=True)
-class Heading:
-    """A title."""
-
-    kind: ClassVar[str] = "heading"
-    text: str
+Tone = Literal["", "heading", "answer", "withheld", "aside", "warning"]
 
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
-    """A sentence with an optional label."""
+    """A heading, or a sentence with an optional label."""
 
-    kind: ClassVar[str] = "sentence"
     text: str
     tone: Tone = ""
     label: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
-    """Head of a column; a line break in ``title`` is for the terminal only."""
-
-    title: str
-    numeric: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Table:
-    """Columns, and rows of texts."""
+    """Titles of columns, whose line breaks are for the terminal only, and rows of texts."""
 
-    kind: ClassVar[str] = "table"
-    columns: tuple[Column, ...]
+    titles: tuple[str, ...]
+    numeric: tuple[bool, ...]  # columns of numbers, aligned to the right
     rows: tuple[tuple[str, ...], ...]
 
 
-Block = Heading | Sentence | Table
+Block = Sentence | Table
 
 
 def labelled(lines: Mapping[str, object]) -> Iterator[Sentence]:
@@ -59,19 +42,10 @@ def aside(sentence: str) -> Sentence:
     return Sentence(sentence, "aside")
 
 
-def text(title: str) -> Column:
-    """A left-aligned column of text."""
-    return Column(title, numeric=False)
-
-
-def numbers(title: str) -> Column:
-    """A right-aligned column of numbers."""
-    return Column(title, numeric=True)
-
-
-def table(columns: Iterable[Column], rows: Iterable[Iterable[object]]) -> Table:
-    """A table with cells converted to text."""
-    return Table(tuple(columns), tuple(tuple(str(cell) for cell in row) for row in rows))
+def table(titles: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
+    """A table with cells converted to text; ``#`` before the title of a column of numbers."""
+    shown, numeric = zip(*((t.removeprefix("#"), t.startswith("#")) for t in titles), strict=True)
+    return Table(shown, numeric, tuple(tuple(map(str, row)) for row in rows))
 
 
 AdviceTone = Literal["fine", "watch", "act", "withheld", "note"]

@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from bayesbl import __version__
@@ -22,16 +22,7 @@ from bayesbl.presentation import (
     study,
     sweep,
 )
-from bayesbl.presentation.blocks import (
-    Block,
-    Heading,
-    Sentence,
-    aside,
-    labelled,
-    numbers,
-    table,
-    text,
-)
+from bayesbl.presentation.blocks import Block, Sentence, aside, labelled, table
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.words import significant
 from bayesbl.recording.guessing import NO_UNIT, UNKNOWN
@@ -47,21 +38,19 @@ if TYPE_CHECKING:
     from bayesbl.runs.kinds import Summary
 
 
-SUBJECTS: Mapping[str, ModuleType] = MappingProxyType(
-    {
-        "fit": answer,
-        "compare": answer,
-        "diagnose": diagnosis,
-        "identify": identification,
-        "sweep": sweep,
-        "plan": plan,
-        "study": study,
-        "fleet": fleet,
-    }
-)
+SUBJECTS: Mapping[str, ModuleType] = {
+    "fit": answer,
+    "compare": answer,
+    "diagnose": diagnosis,
+    "identify": identification,
+    "sweep": sweep,
+    "plan": plan,
+    "study": study,
+    "fleet": fleet,
+}
 """Module for each kind of result, with functions of the summary: ``headline`` (one sentence),
-``blocks`` (everything below it), ``advice`` and ``assumptions``. A fleet has pages of its own and
-lacks the last two."""
+``blocks`` (everything below it) and ``advice``; and with ``ASSUMPTIONS``, or for measured gaps the
+function ``assumptions``. A fleet has pages of its own and lacks the last two."""
 
 
 def blocks(summary: Summary) -> Iterator[Block]:
@@ -117,40 +106,13 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
     summary = summarise(tree)
     print_result(summary, None, console)
     print_blocks(details(tree, summary), console)
-    print_blocks([Heading("Origin"), *origin(tree)], console)
+    print_blocks([Sentence("Origin", "heading"), *origin(tree)], console)
 
 
 def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:
     """Each effect with its place of action and a sentence."""
     yield from labelled({f"{one.name} ({one.enters})": one.sentence for one in effects})
     yield aside("bayesbl effects NAME shows one in full.")
-
-
-def entry(effect: Effect) -> Iterator[Block]:
-    """The full catalogue entry of an effect."""
-    yield Sentence(effect.name, "answer")
-    lines = {
-        "What": effect.sentence,
-        "Equation": effect.equation,
-        "Enters": effect.enters,
-        "Depends on": ", ".join(effect.depends_on).replace("_", " "),
-        "Repeats each load rotation": _repeats(effect),
-        "In the data": effect.data,
-        "Reference": effect.reference,
-    }
-    yield from labelled(lines)
-    rows = [
-        (item.name, item.unit or "1", *map(_plain, (item.low, item.high, item.neutral)))
-        for item in effect.parameters
-    ]
-    columns = (text("Parameter"), text("Unit"), *map(numbers, ("Low", "High", "Off or default")))
-    yield table(columns, rows)
-    for item in effect.parameters:
-        yield Sentence(item.meaning, "aside", item.name)
-
-
-def _plain(value: float) -> str:
-    return f"{value:g}".replace("-", "−")
 
 
 _REPEATS = {
@@ -160,11 +122,31 @@ _REPEATS = {
 }
 
 
-def _repeats(effect: Effect) -> str:
-    answers = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
-    if len(set(answers.values())) == 1:
-        return next(iter(answers.values()))
-    return ", ".join(f"{name}: {answer}" for name, answer in answers.items())
+def entry(effect: Effect) -> Iterator[Block]:
+    """The full catalogue entry of an effect."""
+    repeats = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
+    answers = set(repeats.values())
+    if len(answers) != 1:
+        answers = {", ".join(f"{name}: {answer}" for name, answer in repeats.items())}
+    yield Sentence(effect.name, "answer")
+    lines = {
+        "What": effect.sentence,
+        "Equation": effect.equation,
+        "Enters": effect.enters,
+        "Depends on": ", ".join(effect.depends_on).replace("_", " "),
+        "Repeats each load rotation": answers.pop(),
+        "In the data": effect.data,
+        "Reference": effect.reference,
+    }
+    yield from labelled(lines)
+    rows = [
+        (item.name, item.unit or "1", *(f"{value:g}".replace("-", "−") for value in values))
+        for item in effect.parameters
+        for values in [(item.low, item.high, item.neutral)]
+    ]
+    yield table(("Parameter", "Unit", "#Low", "#High", "#Off or default"), rows)
+    for item in effect.parameters:
+        yield Sentence(item.meaning, "aside", item.name)
 
 
 _SHARE = re.compile(r"[\[(]\s*(%|‰|prozent|promille|per ?cent|per ?mille)", re.IGNORECASE)
@@ -174,7 +156,7 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
     """The guessed columns with channel, unit and reason, and what to check."""
     yield Sentence("Guessed from the recording; please confirm:", "answer")
     rows = [(column.name, column.channel, column.unit, column.reason) for column in guess.columns]
-    yield table(map(text, ("Column", "Channel", "Unit", "Reason")), rows)
+    yield table(("Column", "Channel", "Unit", "Reason"), rows)
     if guess.unused:
         yield Sentence(", ".join(guess.unused), label="Not used")
     for name in filter(_SHARE.search, guess.unused):
@@ -202,22 +184,18 @@ def what_next(path: Path, *, sound: bool, route: str = "") -> str:
     """Where the configuration was written, and what to do with it."""
     if not sound:
         return f"Written to {path}. It cannot run yet:"
-    correct = (
-        ". Correct columns there, and fill in gear_ratio, limit (when to repair) and bench (a file "
-        "that describes the joint; bayesbl init --bench writes one)"
+    bench = "bench (a file that describes the joint; bayesbl init --bench writes one)"
+    correct = {
+        "motion": ", for a motion, whose gap is measured with a bench. Correct columns there, and "
+        f"fill in {bench}",
+        "torque_ramp": ", for ramps of torque with the output held. Correct units and gear_ratio "
+        "there",
+        "two_encoders": ", for encoders of motor and load. Correct units there, fill in "
+        "gear_ratio if it is known",
+    }.get(
+        route,
+        ". Correct columns there, and fill in gear_ratio, limit (when to repair) and " + bench,
     )
-    if route == "motion":
-        correct = (
-            ", for a motion, whose gap is measured with a bench. Correct columns there, and fill "
-            "in bench (a file that describes the joint; bayesbl init --bench writes one)"
-        )
-    if route == "torque_ramp":
-        correct = ", for ramps of torque with the output held. Correct units and gear_ratio there"
-    if route == "two_encoders":
-        correct = (
-            ", for encoders of motor and load. Correct units there, fill in gear_ratio if it is "
-            "known"
-        )
     return f"Written to {path}{correct}, then: bayesbl run {shlex.quote(str(path))}"
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import starmap
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
 from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.folder import AUGMENTED_BENCH
@@ -34,6 +34,9 @@ UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to
 
 USES = {"used": "fitted on", "held_out": "held out"}
 
+_Stage = Literal["before", "after", "noise_floor"]
+_STAGES: tuple[_Stage, ...] = get_args(_Stage)
+
 
 def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     """A sentence for each effect and parameter, the model error, and what still repeats."""
@@ -58,15 +61,14 @@ def headline(summary: DiagnosisSummary) -> str:
                 share = removed(held_out["closed_fraction"])
                 gone = f": adding {them} removes {share} of the disagreement on held-out data"
             return capitalised(f"{'; '.join(names)} {are} missing from the bench{gone}.")
-        case "parameter_error" if "gap_withheld" in summary:
-            return (
-                "The bench is wrong by more than the search covers, or lacks an effect that is not "
-                f"in the catalogue: {next(parameter_errors(summary))}"
-            )
         case "parameter_error":
-            return "No effect is missing, but the bench is wrong: " + next(
-                parameter_errors(summary)
-            )
+            what = "No effect is missing, but the bench is wrong"
+            if "gap_withheld" in summary:
+                what = (
+                    "The bench is wrong by more than the search covers, or lacks an effect that is "
+                    "not in the catalogue"
+                )
+            return f"{what}: {next(parameter_errors(summary))}"
         case "unexplained" if (known := learned_of(summary)) is not None:
             return f"No known effect explains the disagreement. It looks like {dependence(known)}."
         case "unexplained" if summary["remaining"]:
@@ -74,15 +76,13 @@ def headline(summary: DiagnosisSummary) -> str:
             return f"Something repeats that no known effect explains: {what}"
         case verdict:
             used = summary["disagreement"]["over_all"].get("used")
-            if used is not None and (
-                verdict == "unexplained" or used["closed_fraction"] is not None
-            ):
-                after, noise = (_sized_rms(used, key) for key in ("after", "noise_floor"))
-                return (
-                    "No effect could be named: bench and recordings disagree by "
-                    f"{after}, and the noise is {noise}."
-                )
-            return "Nothing is missing: noise may cause all of the disagreement."
+            if used is None or (verdict != "unexplained" and used["closed_fraction"] is None):
+                return "Nothing is missing: noise may cause all of the disagreement."
+            after, noise = _sized_rms(used, "after"), _sized_rms(used, "noise_floor")
+            return (
+                f"No effect could be named: bench and recordings disagree by {after}, and the "
+                f"noise is {noise}."
+            )
 
 
 def _size_in_short(effect: EffectSummary) -> str:
@@ -90,15 +90,13 @@ def _size_in_short(effect: EffectSummary) -> str:
     parameters = dict(effect["parameters"])
     order = parameters.pop("order", None)
     name, size = next(iter(parameters.items()))
-    words_of_name = in_words(effect["name"])
-    if order is not None:
-        words_of_name += f" (order {_digits(order['median'])})"
-    sized_name = f"{words_of_name} {_value(size, quantity_and_unit(name)[1])}"
+    of = "" if order is None else f" (order {_digits(order['median'])})"
+    text = f"{in_words(effect['name'])}{of} {_value(size, quantity_and_unit(name)[1])}"
     rivals = effect["indistinguishable_from"]
     alike = " or ".join(map(in_words, rivals))
     if len(rivals) > MOST_RIVALS:
         alike = f"one of {len(rivals)} others that look the same"
-    return f"{sized_name}, or {alike}" if alike else sized_name
+    return f"{text}, or {alike}" if alike else text
 
 
 def effect_in_words(effect: EffectSummary | EffectFound) -> str:
@@ -202,11 +200,8 @@ def suggestion(summary: DiagnosisSummary) -> Iterator[str]:
     recording = summary["suggested_recording"]
     if recording is None:
         return
-    load = (
-        ""
-        if recording["payload_share"] == 1.0
-        else f" with {recording['payload_share']:g} times the load"
-    )
+    share = recording["payload_share"]
+    load = "" if share == 1.0 else f" with {share:g} times the load"
     names = " and ".join(in_words(name) for name in recording["separates"][0][:2])
     yield (
         f"A recording at {recording['reference_speed_rpm']:g} rpm{load} would separate {names} "
@@ -238,24 +233,16 @@ def _with_unit(value: str, unit: str) -> str:
 
 def disagreement_table(summary: DisagreementTableSummary) -> Table:
     """RMS of the model error by recording and channel, and over all."""
-    titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
     pieces = list(compared_pieces(summary))
     several = len({channel for _, channel, *_ in pieces}) > 1
-    rows = [
-        (f"{name}, {CHANNELS.get(channel, channel)}" if several else name, use, row)
-        for name, channel, use, row in pieces
-    ]
-    rows += [("all", use, row) for use, row in summary["over_all"].items()]
-    cells = [
-        (
-            name,
-            USES[use],
-            *(_sized_rms(row, key) for key in ("before", "after", "noise_floor")),
-            removed(row["closed_fraction"]),
-        )
-        for name, use, row in rows
-    ]
-    return table((text("Recording"), text("Use"), *map(numbers, titles)), cells)
+    pieces += [("all", "", use, row) for use, row in summary["over_all"].items()]
+    cells = []
+    for name, channel, use, row in pieces:
+        of = f", {CHANNELS.get(channel, channel)}" if several and channel else ""
+        each = [_sized_rms(row, key) for key in _STAGES]
+        cells.append((name + of, USES[use], *each, removed(row["closed_fraction"])))
+    sizes = ("#Disagreement\nbefore", "#after", "#Noise", "#Removed")
+    return table(("Recording", "Use", *sizes), cells)
 
 
 def compared_pieces(
@@ -275,19 +262,17 @@ def removed(closed: float | None) -> str:
     return "100 %" if shown == "100.0" else f"{shown} %"
 
 
-def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_floor"]) -> str:
+def _sized_rms(row: DisagreementSummary, key: _Stage) -> str:
     """``3.34 rpm``; over all channels ``4.2 × noise``."""
     unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
     return f"{significant(row[key], 3)}{unit}"
 
 
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions of a diagnosis."""
-    return (
-        "What is missing, if anything, is in the catalogue (bayesbl effects).",
-        "Noise does not repeat.",
-        "The other parameters are as the bench file says, within their tolerances.",
-    )
+ASSUMPTIONS = (
+    "What is missing, if anything, is in the catalogue (bayesbl effects).",
+    "Noise does not repeat.",
+    "The other parameters are as the bench file says, within their tolerances.",
+)
 
 
 def advice(summary: DiagnosisSummary) -> Advice:
@@ -335,27 +320,23 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
 
 def unexplained_phrase(entry: RemainingSummary) -> str:
     """``motor current: 0.13 A at 7.3 Hz, periodic in time``."""
-    return f"{CHANNELS.get(entry['channel'], entry['channel'])}: {_what(entry)}"
-
-
-def _what(entry: RemainingSummary) -> str:
     size = f"{significant(entry['amplitude'])} {entry['unit']}"
     order, highest, hertz = entry["lowest_order"], entry["highest_order"], entry["frequency_hz"]
     match entry["dependence"]:
-        case "offset":
-            return f"an offset of {size}"
-        case "drift":
-            return f"a drift of {size}"
+        case "offset" | "drift" as kind:
+            what = f"{'an' if kind == 'offset' else 'a'} {kind} of {size}"
         case "load angle":
-            orders = (
-                f"order {order:.0f}" if order == highest else f"orders {order:.0f} to {highest:.0f}"
-            )
-            return f"{size} with the load angle, mostly at {orders}"
+            orders = f"order {order:.0f}"
+            if order != highest:
+                orders = f"orders {order:.0f} to {highest:.0f}"
+            what = f"{size} with the load angle, mostly at {orders}"
         case "motor angle":
-            return f"{size} at order {order:.4g} of the motor"
+            what = f"{size} at order {order:.4g} of the motor"
         case "time":
-            return f"{size} at {hertz:.4g} Hz, periodic in time"
-    return (
-        f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do not "
-        "show which)"
-    )
+            what = f"{size} at {hertz:.4g} Hz, periodic in time"
+        case _:
+            what = (
+                f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do "
+                "not show which)"
+            )
+    return f"{CHANNELS.get(entry['channel'], entry['channel'])}: {what}"

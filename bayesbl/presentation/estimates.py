@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import answer, words
-from bayesbl.presentation.blocks import Block, Heading, Table, aside, labelled, numbers, table, text
+from bayesbl.presentation.blocks import Block, Sentence, Table, aside, labelled, table
 from bayesbl.units import number, quantity_and_unit
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
     for name, part in answer.snapshots(summary):
         routes = answer.answering(part)
         for route in routes:
-            by = f", by {words.route_in_words(route['route'])}" if len(routes) > 1 else ""
-            yield Heading((f"Snapshot {name}" if name else "Fit") + by)
+            by = f", by {words.in_words(route['route'])}" if len(routes) > 1 else ""
+            yield Sentence((f"Snapshot {name}" if name else "Fit") + by, "heading")
             yield parameter_table(route)
             if "cramer_rao_sd" in route:
                 yield from _of_simulation(route)
@@ -69,7 +69,7 @@ def parameter_table(part: RouteSummary) -> Table:
         heads = ["Optimum", *heads]
     kind = words.interval_kind(next(iter(part["parameters"].values())))
     rows = [_row(part, name, interval, len(heads)) for name, interval in intervals.items()]
-    return table([text("Parameter"), *map(numbers, [*heads, kind]), text("Unit")], rows)
+    return table(["Parameter", *(f"#{head}" for head in (*heads, kind)), "Unit"], rows)
 
 
 def _row(part: RouteSummary, name: str, interval: Interval | None, values: int) -> list[str]:
@@ -119,32 +119,27 @@ def noise(part: RouteSummary) -> str:
 
 
 def _of_amplitude(part: RouteSummary, rivals: str) -> Iterator[Block]:
+    boxed = impacts = ""
+    if (optimum := part.get("box_search")) is not None:
+        boxed = (
+            f"the search ended at A = {optimum['amplitude_rpm']:.3g} rpm, RMSE "
+            f"{optimum['rmse_rpm']:.3g} rpm; eq. 4 there: "
+            f"{1e3 * optimum['gap_as_printed_rad']:.3g} mrad"
+        )
+    if (sd := part.get("impact_sd_rpm")) is not None:
+        least = f"{sd['low']:.2g} to " if sd["low"] > 0.0 else "at most "
+        impacts = f"differ from one another by {least}{sd['high']:.2g} rpm beyond noise"
     lines = {
         "Search": part.get("start"),
-        "Table 2's ranges": _box_search(part) if "box_search" in part else None,
+        "Table 2's ranges": boxed,
         "Fit": f"RMSE {part['rmse_rpm']:.3f} rpm, relative {part['relative_rmse']:.3f}",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
-        "Impacts": _impacts(part) if "impact_sd_rpm" in part else None,
+        "Impacts": impacts,
         "Noise": noise(part),
         "Sampling": words.sampling(part),
         "Rival optima": rivals,
     }
     yield from labelled(lines)
-
-
-def _impacts(part: RouteSummary) -> str:
-    low, high = part["impact_sd_rpm"]["low"], part["impact_sd_rpm"]["high"]
-    least = f"{low:.2g} to " if low > 0.0 else "at most "
-    return f"differ from one another by {least}{high:.2g} rpm beyond noise"
-
-
-def _box_search(part: RouteSummary) -> str:
-    optimum = part["box_search"]
-    return (
-        f"the search ended at A = {optimum['amplitude_rpm']:.3g} rpm, RMSE "
-        f"{optimum['rmse_rpm']:.3g} rpm; eq. 4 there: "
-        f"{1e3 * optimum['gap_as_printed_rad']:.3g} mrad"
-    )
 
 
 def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
@@ -160,7 +155,17 @@ def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
 def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     """Predictive check, noise and sampling of a simulation."""
     yield aside(BOUND_EXPLAINED)
-    yield _check_table(part)
+    orders = "#Orders of the\ncycle up to" if "motion" in part else "#Load orders\nup to"
+    rows = [
+        (
+            entry["channel"],
+            entry["highest_order"] or "mean",
+            words.significant(entry["ratio"], 3),
+            words.probability(entry["probability"]),
+        )
+        for entry in part["predictive_check"]
+    ]
+    yield table(("Channel", orders, "#Repeating\nover noise", "#Probability"), rows)
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
     yield aside(CHECK_EXPLAINED.format(turn))
     diagnostics = part["diagnostics"]
@@ -182,18 +187,3 @@ def _of_ramps(part: RouteSummary) -> Iterator[Block]:
     lines = {"Relative compliance": f"{shown}; probability of play: {sure}"}
     yield from labelled({**lines, "Sampling": words.sampling(part)})
     yield aside(RELATIVE_EXPLAINED)
-
-
-def _check_table(part: RouteSummary) -> Table:
-    orders = "Orders of the\ncycle up to" if "motion" in part else "Load orders\nup to"
-    titles = (orders, "Repeating\nover noise", "Probability")
-    rows = [
-        (
-            entry["channel"],
-            entry["highest_order"] or "mean",
-            words.significant(entry["ratio"], 3),
-            words.probability(entry["probability"]),
-        )
-        for entry in part["predictive_check"]
-    ]
-    return table((text("Channel"), *map(numbers, titles)), rows)

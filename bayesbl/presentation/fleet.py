@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Block, Sentence, numbers, table, text
+from bayesbl.presentation.blocks import Block, Sentence, table
 from bayesbl.presentation.wear import LAWS, month
 
 if TYPE_CHECKING:
@@ -33,10 +33,9 @@ OUTCOMES = {
 
 def headline(summary: Row) -> str:
     """Number of joints and recordings, and of joints over their limit."""
-    counted = summary["recordings"]
+    counted, alarms = summary["recordings"], len(summary["alarms"])
     measured = sum(counted.get(outcome, 0) for outcome in _MEASURED)
-    alarms = len(summary["alarms"])
-    over = "None is" if alarms == 0 else "One is" if alarms == 1 else f"{alarms} are"
+    over = {0: "None is", 1: "One is"}.get(alarms, f"{alarms} are")
     return (
         f"{_count(summary['joints'], 'joint')}, {summary['with_rate']} with a rate of wear, from "
         f"{measured} of {_count(sum(counted.values()), 'recording')}. "
@@ -48,8 +47,7 @@ def types_in_words(summary: Row) -> Iterator[str]:
     """How the joints of each type wear."""
     for name, rates in summary["types"].items():
         rate = rates["median_rad_per_year"]
-        spread = rates["spread"]["median"]
-        factor = words.significant(math.exp(spread))
+        factor = words.significant(math.exp(rates["spread"]["median"]))
         law = max(rates["law"], key=lambda name: rates["law"][name])
         yield (
             f"{name}: the median joint wears by {words.middle(rate, 1e3)} mrad a year "
@@ -57,18 +55,13 @@ def types_in_words(summary: Row) -> Iterator[str]:
             f"within a factor of {factor} of that ({rates['joints']} joints). "
             f"Most likely law: {LAWS[law]} ({words.probability(rates['law'][law])}). "
             f"Share of joints unlike the rest: {words.probability(rates['own']['median'])}."
-            + "".join(map(_factor, rates["covariates"].items()))
+            + "".join(
+                f" If {covariate} is larger by {words.significant(effect['sd'])}, a joint wears "
+                f"{words.significant(effect['factor']['median'])} times as fast "
+                f"({words.bounds(effect['factor'])})."
+                for covariate, effect in rates["covariates"].items()
+            )
         )
-
-
-def _factor(covariate: tuple[str, Row]) -> str:
-    name, effect = covariate
-    factor = effect["factor"]
-    more, times = words.significant(effect["sd"]), words.significant(factor["median"])
-    return (
-        f" If {name} is larger by {more}, a joint wears {times} times as fast "
-        f"({words.bounds(factor)})."
-    )
 
 
 def unlike_type(row: Row, summary: Row) -> str | None:
@@ -86,8 +79,7 @@ def unlike_type(row: Row, summary: Row) -> str | None:
 
 def blocks(summary: FleetSummary) -> Iterator[Block]:
     """The most urgent joints, and what was left out."""
-    gap, rate = numbers("Gap (mrad)"), numbers("Rate (mrad/year)")
-    columns = (text("Joint"), text("Gearbox"), gap, rate, text("Reaches limit"), text("State"))
+    titles = ("Joint", "Gearbox", "#Gap (mrad)", "#Rate (mrad/year)", "Reaches limit", "State")
     rows = [
         (
             row["joint"],
@@ -99,22 +91,17 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
         )
         for row in summary["most_urgent"][:_SHOWN]
     ]
-    yield table(columns, rows)
+    yield table(titles, rows)
     yield from map(Sentence, types_in_words(summary))
-    counted = summary["recordings"]
-    unmeasured = {k: n for k, n in counted.items() if k not in _MEASURED}
+    unmeasured = [(n, key) for key, n in summary["recordings"].items() if key not in _MEASURED]
     if unmeasured:
-        counts = ", ".join(f"{n} {OUTCOMES[outcome]}" for outcome, n in unmeasured.items())
+        counts = ", ".join(f"{n} {OUTCOMES[outcome]}" for n, outcome in unmeasured)
         yield Sentence(f"{counts}: see reason in recordings.parquet.", "warning", "Left out")
     if summary["alarms"]:
-        names = ", ".join(summary["alarms"][:_SHOWN])
-        more = len(summary["alarms"]) - _SHOWN
-        yield Sentence(
-            names + (f" and {more} others" if more > 0 else "") + ". At most 5 % of these are "
-            "expected to be false alarms.",
-            "warning",
-            "Flagged as over their limit",
-        )
+        names, more = ", ".join(summary["alarms"][:_SHOWN]), len(summary["alarms"]) - _SHOWN
+        others = f" and {more} others" if more > 0 else ""
+        why = f"{names}{others}. At most 5 % of these are expected to be false alarms."
+        yield Sentence(why, "warning", "Flagged as over their limit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,13 +117,9 @@ def interval_of(row: Row, name: str, summary: Row) -> Interval | None:
     """A quantity of a table's row as an interval, if the row has it."""
     if row[f"{name}_median"] is None:
         return None
-    return {
-        "median": row[f"{name}_median"],
-        "low": row[f"{name}_low"],
-        "high": row[f"{name}_high"],
-        "level": summary["level"],
-        "kind": summary["interval_kind"],
-    }
+    median, low, high = (row[f"{name}_{end}"] for end in ("median", "low", "high"))
+    level, kind = summary["level"], summary["interval_kind"]
+    return {"median": median, "low": low, "high": high, "level": level, "kind": kind}
 
 
 def in_mrad(row: Row, name: str, summary: Row) -> Cell:

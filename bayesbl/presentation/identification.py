@@ -6,17 +6,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
 from bayesbl.presentation.diagnosis import disagreement_table, effect_in_words
 from bayesbl.units import in_words
 
 if TYPE_CHECKING:
-    from bayesbl.identification.groups import (
-        IdentificationSummary,
-        ParameterSummary,
-        PriorSummary,
-        TogetherSummary,
-    )
+    from bayesbl.identification.groups import IdentificationSummary, TogetherSummary
     from bayesbl.identification.next_recording import NextRecordingSummary
 
 LITTLE = 0.1  # A parameter of which less is learned is no better known than from its data sheet
@@ -36,7 +31,9 @@ def headline(summary: IdentificationSummary) -> str:
 
 def blocks(summary: IdentificationSummary) -> Iterator[Block]:
     """Gaps, parameters, what is only known together, the model error, what to record next."""
-    yield from map(Sentence, gaps(summary))
+    for name, gap in summary["gaps"].items():
+        if gap is not None:
+            yield Sentence(f"The gap in {name} is {words.in_mrad(gap)}.")
     yield _parameters(summary)
     yield from map(Sentence, map(effect_in_words, summary["effects"]))
     is_found = summary["outcome"] != "withheld"
@@ -61,13 +58,6 @@ def compared(summary: IdentificationSummary) -> str:
             "identified bench."
         )
     return "Before: the data sheet's values. After: the identified bench."
-
-
-def gaps(summary: IdentificationSummary) -> Iterator[str]:
-    """The gap of each recording."""
-    for name, gap in summary["gaps"].items():
-        if gap is not None:
-            yield f"The gap in {name} is {words.in_mrad(gap)}."
 
 
 def suggestion(recording: NextRecordingSummary) -> str:
@@ -99,39 +89,28 @@ def advice(summary: IdentificationSummary) -> Advice:
     return Advice("fine", "Measure with this bench.", sentences)
 
 
-def assumptions(summary: IdentificationSummary) -> Iterator[str]:
-    """Assumptions of an identification."""
-    yield "Each value has a normal prior around that of the data sheet, as wide as its tolerance."
-    yield "Each recording has a gap of its own."
-    yield "Nothing but the gap differs between the recordings: same controller and load."
-    yield "Noise does not repeat from one rotation to the next, and it is steady."
+ASSUMPTIONS = (
+    "Each value has a normal prior around that of the data sheet, as wide as its tolerance.",
+    "Each recording has a gap of its own.",
+    "Nothing but the gap differs between the recordings: same controller and load.",
+    "Noise does not repeat from one rotation to the next, and it is steady.",
+)
 
 
 def _parameters(summary: IdentificationSummary) -> Table:
-    rows = [_row(name, parameter) for name, parameter in summary["parameters"].items()]
+    rows = []
+    for name, parameter in summary["parameters"].items():
+        prior, learned = parameter["prior"], max(0.0, 100.0 * parameter["learned"])
+        half = prior["high"] - prior["value"]
+        tolerance = f"± {words.significant(half, 2)}"
+        if prior["value"]:
+            tolerance = f"±{100.0 * half / abs(prior['value']):.0f} %"
+        sheet = f"{words.significant(prior['value'], 3)} {tolerance}"
+        found = words.with_ends(parameter["posterior"], 3)
+        rows.append((in_words(name), sheet, found, parameter["unit"], f"{learned:.0f} %"))
     level = next(iter(summary["parameters"].values()))["posterior"]["level"]
-    titles = ("Data sheet", f"Identified ({100.0 * level:g} % interval)")
-    columns = (text("Parameter"), *map(numbers, titles), text("Unit"), numbers("Learned"))
-    return table(columns, rows)
-
-
-def _row(name: str, parameter: ParameterSummary) -> tuple[str, ...]:
-    prior, posterior = parameter["prior"], parameter["posterior"]
-    low, middle, high = (words.significant(posterior[key], 3) for key in ("low", "median", "high"))
-    return (
-        in_words(name),
-        f"{words.significant(prior['value'], 3)} {_tolerance(prior)}",
-        f"{middle} ({low} to {high})",
-        parameter["unit"],
-        f"{max(0.0, 100.0 * parameter['learned']):.0f} %",
-    )
-
-
-def _tolerance(prior: PriorSummary) -> str:
-    half = prior["high"] - prior["value"]
-    if not prior["value"]:
-        return f"± {words.significant(half, 2)}"
-    return f"±{100.0 * half / abs(prior['value']):.0f} %"
+    identified = f"#Identified ({100.0 * level:g} % interval)"
+    return table(("Parameter", "#Data sheet", identified, "Unit", "#Learned"), rows)
 
 
 def _together(group: TogetherSummary) -> str:
@@ -142,11 +121,12 @@ def _together(group: TogetherSummary) -> str:
             f"Only the product of {names[0]} and {names[1]} is known well: to {together} %, each "
             f"factor to {alone} %."
         )
-    listed = " / ".join(names) if len(names) == 2 else ", ".join(names)
-    ratio = "only the ratio" if len(names) == 2 else "only the ratios"
-    return words.capitalised(
-        f"{ratio} of {listed} {'is' if len(names) == 2 else 'are'} known well: to {together} % or "
-        f"better, each value to {alone} %. A factor common to all hardly changes these recordings."
+    ratio = f"ratio of {' / '.join(names)} is"
+    if len(names) > 2:
+        ratio = f"ratios of {', '.join(names)} are"
+    return (
+        f"Only the {ratio} known well: to {together} % or better, each value to {alone} %. A "
+        "factor common to all hardly changes these recordings."
     )
 
 

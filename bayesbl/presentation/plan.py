@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table
+from bayesbl.presentation.blocks import Advice, Block, Sentence, aside, table
 from bayesbl.presentation.words import percent
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.runs.plan import PlannedEntry, PlanSummary
+    from bayesbl.runs.plan import PlanSummary
 
 
 MOST_ROWS = 12
@@ -42,7 +42,18 @@ def blocks(summary: PlanSummary) -> Iterator[Block]:
     if summary["reason"]:
         yield Sentence(summary["reason"], "warning", "Withheld")
     if shown:
-        yield _plan_table(shown[:MOST_ROWS])
+        titles = ["#From\n(°)", "#To\n(°)", "#Speed\n(rpm)", "#Acceleration\n(rpm/s)"]
+        rows = [
+            (
+                *(number(math.degrees(angle), 1) for angle in motion["range_rad"]),
+                f"{motion['speed_rpm']:g}",
+                f"{motion['acceleration_rpm_per_s']:g}",
+                motion["flank_changes"],
+                percent(motion["expected_relative_sd"] or 0.0),
+            )
+            for motion in shown[:MOST_ROWS]
+        ]
+        yield table([*titles, "#Flank\nchanges", "#Expected sd\nof δ"], rows)
         yield aside(EXPLAINED)
     blind = len(plan["motions"]) - len(shown)
     if blind and shown:
@@ -53,28 +64,10 @@ def blocks(summary: PlanSummary) -> Iterator[Block]:
     yield aside(f"Calculated for δ = {1e3 * plan['gap_rad']:g} mrad.")
 
 
-def _plan_table(motions: list[PlannedEntry]) -> Table:
-    titles = ["From\n(°)", "To\n(°)", "Speed\n(rpm)", "Acceleration\n(rpm/s)"]
-    titles += ["Flank\nchanges", "Expected sd\nof δ"]
-    rows = [
-        (
-            *(number(math.degrees(angle), 1) for angle in motion["range_rad"]),
-            f"{motion['speed_rpm']:g}",
-            f"{motion['acceleration_rpm_per_s']:g}",
-            motion["flank_changes"],
-            percent(motion["expected_relative_sd"] or 0.0),
-        )
-        for motion in motions
-    ]
-    return table(map(numbers, titles), rows)
-
-
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions of a plan."""
-    return (
-        "The joint behaves as its bench file says, within the tolerances given there.",
-        "Its noise is that of the bench file, and it starts from rest.",
-    )
+ASSUMPTIONS = (
+    "The joint behaves as its bench file says, within the tolerances given there.",
+    "Its noise is that of the bench file, and it starts from rest.",
+)
 
 
 def advice(summary: PlanSummary) -> Advice:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -66,10 +66,7 @@ class Plots:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name not in self._known():
             raise AttributeError(f"there is no figure {name!r}: {', '.join(self._known())}")
-
-        def plot(of: str | None = None) -> Figure:
-            return self(name, of)
-
+        plot = partial(self, name)
         plot.__doc__ = self._known()[name].caption
         return plot
 

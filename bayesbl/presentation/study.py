@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.presentation.blocks import Advice, Block, Table, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Table, table
 
 if TYPE_CHECKING:
     from bayesbl.runs.study import StudySummary
@@ -31,12 +31,10 @@ def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> T
 
     first, *others = columns
     rows = [[cell(line.get(column)) for column in columns] for line in lines]
-    return table((text(first), *map(numbers, others)), rows)
+    return table((first, *(f"#{column}" for column in others)), rows)
 
 
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions of a study."""
-    return ("Each case has random numbers of its own, from the seed, the row and its number.",)
+ASSUMPTIONS = ("Each case has random numbers of its own, from the seed, the row and its number.",)
 
 
 def advice(summary: StudySummary) -> Advice:

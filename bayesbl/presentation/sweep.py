@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation.answer import GAP_EXPLAINED
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
-from bayesbl.presentation.words import percent, significant, source_in_words
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, table
+from bayesbl.presentation.words import in_words, percent, significant
 from bayesbl.units import number
 
 if TYPE_CHECKING:
@@ -35,9 +35,27 @@ def headline(summary: SweepSummary) -> str:
 
 
 def blocks(summary: SweepSummary) -> Iterator[Block]:
-    """The curve in words, its polynomial, and other degrees."""
-    yield from map(Sentence, curve_quality(summary))
-    yield _coefficient_table(summary)
+    """How well the polynomial fits, how certain the curve is, its distance from eq. 4; tables."""
+    degree = summary["degree"]
+    fit = summary["degrees"].get(str(degree))
+    if fit is not None:
+        yield Sentence(
+            f"A {_KINDS.get(degree, f'polynomial of degree {degree}')} describes δ of the sweep "
+            f"within {percent(fit['largest_departure'])} ({percent(fit['rms_departure'])} RMS)."
+        )
+    ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
+    each = ", ".join(f"{in_words(name)} {percent(sd)}" for name, sd in ordered)
+    yield Sentence(f"Largest standard deviation of δ along the curve, by source: {each}.")
+    yield Sentence(
+        "At a given gap, A differs from that of the paper's eq. 4 by at most "
+        f"{percent(summary['largest_departure_from_published'])}."
+    )
+    rows = []
+    for power, value in enumerate(summary["coefficients"]):
+        raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
+        term, unit = (f"A{raised}", f"rad/rpm{raised}") if power else ("1", "rad")
+        rows.append((term, f"{value:.6e}".replace("-", "−"), unit))
+    yield table(("Term", "#Coefficient", "Unit"), rows)
     yield aside(GAP_EXPLAINED)
     yield aside(
         "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
@@ -48,36 +66,8 @@ def blocks(summary: SweepSummary) -> Iterator[Block]:
     yield aside(DEGREES_EXPLAINED)
 
 
-def curve_quality(summary: SweepSummary) -> Iterator[str]:
-    """How well the polynomial fits, how certain the curve is, and its distance from eq. 4."""
-    degree = summary["degree"]
-    fit = summary["degrees"].get(str(degree))
-    if fit is not None:
-        yield (
-            f"A {_KINDS.get(degree, f'polynomial of degree {degree}')} describes δ of the sweep "
-            f"within {percent(fit['largest_departure'])} "
-            f"({percent(fit['rms_departure'])} RMS)."
-        )
-    ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
-    each = ", ".join(f"{source_in_words(name)} {percent(sd)}" for name, sd in ordered)
-    yield f"Largest standard deviation of δ along the curve, by source: {each}."
-    yield (
-        "At a given gap, A differs from that of the paper's eq. 4 by at most "
-        f"{percent(summary['largest_departure_from_published'])}."
-    )
-
-
-def _coefficient_table(summary: SweepSummary) -> Table:
-    rows = []
-    for power, value in enumerate(summary["coefficients"]):
-        raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
-        term, unit = (f"A{raised}", f"rad/rpm{raised}") if power else ("1", "rad")
-        rows.append((term, f"{value:.6e}".replace("-", "−"), unit))
-    return table((text("Term"), numbers("Coefficient"), text("Unit")), rows)
-
-
 def _degree_table(summary: SweepSummary) -> Table:
-    titles = ("Degree", "RMS\ndeparture (%)", "Largest\ndeparture (%)", "Log evidence\nbelow best")
+    departures = "#RMS\ndeparture (%)", "#Largest\ndeparture (%)"
     best = max(fit["log_evidence"] for fit in summary["degrees"].values())
     rows = [
         (
@@ -89,16 +79,14 @@ def _degree_table(summary: SweepSummary) -> Table:
         )
         for degree, fit in summary["degrees"].items()
     ]
-    return table((*map(numbers, titles), text("")), rows)
+    return table(("#Degree", *departures, "#Log evidence\nbelow best", ""), rows)
 
 
-def assumptions(_: object) -> tuple[str, ...]:
-    """Assumptions for using the curve."""
-    return (
-        "The simulated bench is a two-mass drive whose only play is one gap.",
-        "The joint has the bench's parameters, within any tolerances.",
-        "Measured recordings are fitted as these simulated ones were.",
-    )
+ASSUMPTIONS = (
+    "The simulated bench is a two-mass drive whose only play is one gap.",
+    "The joint has the bench's parameters, within any tolerances.",
+    "Measured recordings are fitted as these simulated ones were.",
+)
 
 
 def advice(_: SweepSummary) -> Advice:

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, TextIO
 
 from bayesbl.errors import UserError
-from bayesbl.presentation.blocks import Block, Heading, Sentence, Table
+from bayesbl.presentation.blocks import Block, Sentence, Table
 from bayesbl.presentation.words import glued
 from bayesbl.progress import StageProgress
 
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-_STYLES = {"": "", "answer": "bold", "withheld": "bold yellow", "aside": "dim", "warning": "yellow"}
+_STYLES = {"": "", "heading": "bold", "answer": "bold", "withheld": "bold yellow"}
+_STYLES |= {"aside": "dim", "warning": "yellow"}
 _BETWEEN = 2  # space between two columns of a table
 _NARROWEST_NAME = 12  # width to which the first column of a table may be folded
 _INDENT = "  "
@@ -84,23 +85,20 @@ def print_blocks(blocks: Iterable[Block], console: Console) -> None:
     """Print headings after an empty line, wrapped sentences, and tables between empty lines."""
     is_below_table = False
     for block in blocks:
-        if is_below_table or not isinstance(block, Sentence):
+        if is_below_table or isinstance(block, Table) or block.tone == "heading":
             console.print()
         is_below_table = isinstance(block, Table)
-        match block:
-            case Heading():
-                _print_text(block.text, "", "bold", console)
-            case Sentence():
-                _print_text(block.text, block.label, _STYLES[block.tone], console)
-            case Table():
-                print_table(block, console)
+        if isinstance(block, Table):
+            print_table(block, console)
+        else:
+            _print_text(block, console)
     if is_below_table:
         console.print()
 
 
 def print_table(table: Table, console: Console) -> None:
     """Print a row on one line if the terminal is wide enough, else as a block."""
-    columns = list(zip(*([c.title for c in table.columns], *table.rows), strict=True))
+    columns = list(zip(table.titles, *table.rows, strict=True))
     name, *others = (max(map(len, "\n".join(column).splitlines())) for column in columns)
     if min(name, _NARROWEST_NAME) + sum(others) + _BETWEEN * len(others) <= console.width:
         _print_lines(table, console)
@@ -121,13 +119,13 @@ def wrapped(sentence: str, width: int) -> str:
     return "\n".join(lines).replace(_GLUE, " ")
 
 
-def _print_text(sentence: str, label: str, style: str, console: Console) -> None:
+def _print_text(sentence: Sentence, console: Console) -> None:
     from rich.text import Text
 
-    whole = f"{label}: {sentence}" if label else sentence
-    text = Text(wrapped(whole, console.width), style=style)
+    label = f"{sentence.label}: " if sentence.label else ""
+    text = Text(wrapped(label + sentence.text, console.width), style=_STYLES[sentence.tone])
     if label:
-        text.stylize("bold", 0, len(label) + 1)
+        text.stylize("bold", 0, len(label) - 1)
     console.print(text, soft_wrap=True)
 
 
@@ -138,9 +136,9 @@ def _print_lines(table: Table, console: Console) -> None:
     from rich.text import Text
 
     lines = Lines(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for i, column in enumerate(table.columns):
-        justify: Literal["left", "right"] = "right" if column.numeric else "left"
-        lines.add_column(Text(column.title), justify=justify, overflow="fold", no_wrap=i > 0)
+    for i, (title, numeric) in enumerate(zip(table.titles, table.numeric, strict=True)):
+        side: Literal["left", "right"] = "right" if numeric else "left"
+        lines.add_column(Text(title), justify=side, overflow="fold", no_wrap=i > 0)
     for row in table.rows:
         lines.add_row(*map(Text, row))
     console.print(lines)
@@ -149,9 +147,9 @@ def _print_lines(table: Table, console: Console) -> None:
 def _print_row_by_row(table: Table, console: Console) -> None:
     from rich.text import Text
 
-    titles = [column.title.replace("\n", " ") for column in table.columns]
+    titles = [title.replace("\n", " ") for title in table.titles]
     # A name speaks for itself, a number does not.
-    first = f"{titles[0]} " if table.columns[0].numeric else ""
+    first = f"{titles[0]} " if table.numeric[0] else ""
     for row in table.rows:
         console.print(Text(first + row[0], style="bold"), soft_wrap=True)
         pairs = [f"{title} {cell}" for title, cell in zip(titles[1:], row[1:], strict=True) if cell]

@@ -7,19 +7,13 @@ from datetime import date
 from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import Block, Sentence, Table, aside, table
 from bayesbl.presentation.words import capitalised
 from bayesbl.sentences import UNSEEN_WITHOUT_CURRENT
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import (
-        ComparisonSummary,
-        MeasuredSummary,
-        WearSummary,
-        WithheldWearSummary,
-    )
-    from bayesbl.results.intervals import Interval
+    from bayesbl.measurement.summary_types import ComparisonSummary, MeasuredSummary, WearSummary
 
 
 MOST_TOLD = 3  # largest number of blind spots printed; all are stored
@@ -62,11 +56,9 @@ def unseen_without_current(summary: ComparisonSummary) -> str | None:
 def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:
     """Ends of the interval of the change of δ; since a repair, the change of the medians."""
     wear, parts = summary["wear"], summary["snapshots"]
-    if wear is not None and len(wear["snapshots"]) < len(parts):
-        first, last = (
-            next(part for part in parts if part["name"] == name)["delta_rad"]
-            for name in (wear["snapshots"][0], wear["snapshots"][-1])
-        )
+    if wear is not None and spans_repair(summary, wear):
+        gaps = {part["name"]: part["delta_rad"] for part in parts}
+        first, last = (gaps[wear["snapshots"][end]] for end in (0, -1))
         if first is None or last is None:
             return None
         return (last["median"] - first["median"],) * 2
@@ -118,7 +110,7 @@ _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 
 
 def blocks(
-    summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary, *, is_told: bool = False
+    summary: ComparisonSummary, wear: WearSummary, *, is_told: bool = False
 ) -> Iterator[Block]:
     """Sentences and table of wear. ``is_told``: why there is no rate was printed before."""
     if spans_repair(summary, wear):
@@ -141,7 +133,7 @@ def with_rate(summary: ComparisonSummary) -> WearSummary | None:
     return None if wear is None or wear["reason"] is not None else wear
 
 
-def spans_repair(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) -> bool:
+def spans_repair(summary: ComparisonSummary, wear: WearSummary) -> bool:
     """Whether there was a repair between the first and the last snapshot."""
     return len(wear["snapshots"]) < len(summary["snapshots"])
 
@@ -150,9 +142,8 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     """How large the gap is now, and how fast it grows."""
     last = summary["snapshots"][-1]
     gap, upper_rad = last["delta_rad"], last["delta_upper_bound_rad"]
-    now = "" if gap is None else f"is {words.middle(gap, 1e3)} mrad now and "
-    if upper_rad is not None:
-        now = f"is below {words.significant(1e3 * upper_rad)} mrad now and "
+    size, _ = words.gap_cells(gap, upper_rad)
+    now = "" if gap is None and upper_rad is None else f"is {size} mrad now and "
     if wear["probability_wear"] < words.SURE:
         return (
             f"The gap {now}is not shown to have grown since {wear['first_date']} (probability "
@@ -258,36 +249,31 @@ def notes(wear: WearSummary) -> Iterator[str]:
 
 
 def _table(wear: WearSummary) -> Table:
-    rate, scatter = wear["rate"], wear["scatter_rad_per_root_year"]
-    rows = [
-        _row(f"mean rate since {wear['first_date']}", rate, 1e3, "mrad/year"),
-        _row("rate at the last recording", wear["rate_now"], 1e3, "mrad/year"),
-    ]
-    if scatter is not None:
-        rows.append(_row("irregular wear", scatter, 1e3, "mrad/√year"))
+    from bayesbl.measurement.wear import LONGEST_YEARS
+
+    def shown(value: float) -> str:
+        if value >= LONGEST_YEARS:
+            return f"> {LONGEST_YEARS:g}"
+        return words.significant(value) if value < 100.0 else f"{value:.0f}"
+
     years = wear["years_to_limit"]
-    if years is not None and years["high"] > 0.0:
-        rows.append(_row("from last recording to limit", years, 1.0, "years"))
+    ahead = None if years is None or years["high"] == 0.0 else years
+    rows = []
+    for name, interval, scale, unit in (
+        (f"mean rate since {wear['first_date']}", wear["rate"], 1e3, "mrad/year"),
+        ("rate at the last recording", wear["rate_now"], 1e3, "mrad/year"),
+        ("irregular wear", wear["scatter_rad_per_root_year"], 1e3, "mrad/√year"),
+        ("from last recording to limit", ahead, 1.0, "years"),
+    ):
+        if interval is not None:
+            low, middle, high = (shown(scale * interval[end]) for end in _ENDS)
+            rows.append((name, middle, f"{low} to {high}", unit))
     if years is not None and (dates := wear["date_of_limit"]) is not None:
         low, middle, high = (  # a past date is given only as past
             f"before {wear['last_date']}" if years[end] == 0.0 else day(dates[end]) for end in _ENDS
         )
         rows.append(("date of the limit", middle, low if low == high else f"{low} to {high}", ""))
-    kind = words.interval_kind(rate)
-    return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
-
-
-def _row(name: str, interval: Interval, scale: float, unit: str) -> tuple[str, ...]:
-    low, middle, high = (_cell(scale * interval[key]) for key in _ENDS)
-    return name, middle, f"{low} to {high}", unit
-
-
-def _cell(value: float) -> str:
-    from bayesbl.measurement.wear import LONGEST_YEARS
-
-    if value >= LONGEST_YEARS:
-        return f"> {LONGEST_YEARS:g}"
-    return words.significant(value) if value < 100.0 else f"{value:.0f}"
+    return table(("Wear", "#Median", f"#{words.interval_kind(wear['rate'])}", "Unit"), rows)
 
 
 def day(value: str | None) -> str:

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 RAREST = 1e-3  # thousands of draws cannot show probabilities closer to 0 or 1
 SURE = 0.95  # probability from which something is shown; below 1 minus this, its opposite
 
-_SOURCES = {
+_WORDS = {
+    "amplitude": "the ringing",
+    "direct": "simulation",
+    "torque_ramp": "torque ramps",
+    "two_encoders": "two encoders",
     "noise": "noise of the recording",
     "start_angle": "start angle",
     "rounding": "rounding of the curve's coefficients",
@@ -73,9 +77,9 @@ def with_bounds(interval: Interval, unit: str, scale: float = 1.0) -> str:
     return f"{middle(interval, scale)} {unit} ({ends} {unit})"
 
 
-def with_ends(interval: Interval) -> str:
-    """``0.0052 (0.00054 to 0.020)``: two digits each, for values near zero."""
-    low, middle, high = (significant(interval[key]) for key in ("low", "median", "high"))
+def with_ends(interval: Interval, digits: int = 2) -> str:
+    """``0.0052 (0.00054 to 0.020)``: so many digits each, for values near zero."""
+    low, middle, high = (significant(interval[key], digits) for key in ("low", "median", "high"))
     return f"{middle} ({low} to {high})"
 
 
@@ -125,22 +129,9 @@ def percent(value: float) -> str:
     return f"{significant(100.0 * value)} %"
 
 
-def source_in_words(source: str) -> str:
-    """A source of the interval's width in words."""
-    return _SOURCES.get(source, source.replace("_", " "))
-
-
-ROUTES = {
-    "amplitude": "the ringing",
-    "direct": "simulation",
-    "torque_ramp": "torque ramps",
-    "two_encoders": "two encoders",
-}
-
-
-def route_in_words(route: str) -> str:
-    """A route in words."""
-    return ROUTES.get(route, route.replace("_", " "))
+def in_words(name: str) -> str:
+    """A route, or a source of an interval's width, in words."""
+    return _WORDS.get(name, name.replace("_", " "))
 
 
 def curve_name(curve: str) -> str:

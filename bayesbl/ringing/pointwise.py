@@ -141,8 +141,9 @@ def _innovations(point: PointEstimate, rows: FloatArray) -> FloatArray:
     """Innovations of rows (p, n), of any value where samples are missing, (p, n − order)."""
     noise, used = point.noise, point.objective.used
     if noise.differentiated:
-        means = rows[:, used].mean(axis=1, keepdims=True)
-        rows = np.cumsum(np.where(used, rows - means, 0.0), axis=1)
+        # The sums differ from the process by its unknown first value.
+        rows = np.cumsum(np.where(used, rows, 0.0), axis=1)
+        rows = rows - rows.mean(axis=1, keepdims=True)
     return np.array([innovations(row, noise.coefficients) for row in rows])
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from bayesbl.config.measurement import KnownGap
-from bayesbl.curve.gap_curve import GapCurve, published_curve
+from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
 from bayesbl.errors import CurveError
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.stored import change_group
@@ -216,6 +217,30 @@ def test_an_answer_beyond_the_curve_is_withheld_with_a_one_sided_bound() -> None
     assert "δ is below 0.0001 rad with 90" in sentence(reason.stored)
     assert below.upper_bound_rad == np.quantile(below.delta_rad, 0.95)
     assert withheld.upper_bound_rad is None, "a gap that is told from none has no bound"
+
+
+@pytest.mark.parametrize(("far", "expected"), [(0.0, 0.01), (1.0, 1.0)])
+def test_a_ringing_is_of_another_bench_if_chance_hardly_makes_it(
+    far: float, expected: float
+) -> None:
+    """Not only if no drawn bench comes near it: one of a thousand lies where ``far`` is."""
+    generator = np.random.default_rng(7)
+    benches = generator.uniform(-0.1, 0.1, (2, 1000, 1)) * np.ones(40)
+    benches[:, 0] = 1.0
+    line, scatter = np.zeros(40), np.zeros((40, 3, 3))
+    own = replace(curve(), ringing=Ringing(line, line, *benches, scatter))
+    contradicted = []
+    for number in range(200):
+        rings = benches[:, generator.integers(1, 1000), 0] if not far else np.full(2, far)
+        rings = rings + 0.02 * generator.standard_normal(2)
+        asked = MeasuredRinging(
+            measured(20.0, 0.1, number, 100).amplitude_rpm,
+            np.array([20.0, *rings]),
+            np.diag([1e-2, 4e-4, 4e-4]),
+        )
+        contradicted.append(bool(gaps(own, [asked], seed(number))[0].reasons))
+    # 2 ± 1.4 of 200 by chance.
+    assert np.mean(contradicted) == pytest.approx(expected, abs=0.025)
 
 
 def test_a_few_draws_beyond_the_curve_are_kept() -> None:

@@ -8,6 +8,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import reference_bench
@@ -30,6 +31,7 @@ HZ = 500.0
 SPEED_RPM = 2000.0
 RAMP_S = 0.25
 NOISE_RPM, CURRENT_NOISE_A = 1.5, 0.05
+ROUGH_NM = 0.02
 
 
 def turning(
@@ -59,6 +61,35 @@ def turning(
     return Recording(f"turn {seed}", np.arange(count) / HZ, shown)
 
 
+def rubbing(independent: ModuleType, gap_rad: float, rotations: float, seed: int) -> Recording:
+    """A friction that varies over 10 ms, and white noise of the recorder."""
+    values = {name: item.value for name, item in reference_bench().parameters.items()}
+    truth = independent.plant(values | {"gap_rad": gap_rad, "start_angle_rad": 0.4})
+    period = independent.rotation_s(truth)
+    cut, count = round(period * HZ), round(rotations * period * HZ) + 1
+    rng = np.random.default_rng(seed)
+    kept = math.exp(-1.0 / (0.01 * HZ))
+    white = rng.standard_normal(cut + count) * ROUGH_NM * math.sqrt(1.0 - kept**2)
+    torque = signal.lfilter([1.0], [1.0, -kept], white)
+    # The reference from which the controller makes this torque: K_p r + K_i ∫ r.
+    gain, each = values["speed_gain_nm_s_per_rad"], values["integral_gain_nm_per_rad"] / HZ
+    asked = signal.lfilter([1.0, -1.0], [gain, each - gain], torque)
+
+    def reference(time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        speed = SPEED_RPM / RPM_PER_RAD_PER_S * np.minimum(time / RAMP_S, 1.0)
+        tick = np.minimum((time * HZ + 1e-6).astype(int), asked.size - 1)
+        return speed + asked[tick], np.zeros(time.size)
+
+    position, speed, current = independent.moving(truth, reference, (cut + count - 1) / HZ, HZ)
+    made = current[cut:] - torque[cut:] / values["torque_constant_nm_per_a"]
+    shown = {
+        MOTOR_POSITION: position[cut:] - position[cut],
+        MOTOR_SPEED: speed[cut:] + 0.5 * NOISE_RPM * rng.standard_normal(count),
+        MOTOR_CURRENT: made + 0.5 * CURRENT_NOISE_A * rng.standard_normal(count),
+    }
+    return Recording(f"rub {seed}", np.arange(count) / HZ, shown)
+
+
 def fitted(recording: Recording, bench: Bench) -> SimulatedFit:
     seen = observed(recording, bench, SPEED_RPM)
     return fit_aligned(bench, [seen], [gap_unknown(1e-4, 1e-2), start_angle_unknown(seen.name)])
@@ -79,6 +110,14 @@ def test_noise_in_the_loop_scatters_the_gap_as_is_expected(independent: ModuleTy
     scatter = scatter_of(fit)
     assert scatter.expected.mean() > 1.5
     assert 0.5 < scatter.square / scatter.freedom / scatter.expected.mean() < 2.0
+
+
+def test_friction_that_varies_scatters_the_gap_as_is_expected(independent: ModuleType) -> None:
+    """As above. As noise of the sensor, it would scatter the gap by less than half of this."""
+    fit = fitted(rubbing(independent, 7e-4, 20.0, 1), reference_bench())
+    scatter = scatter_of(fit)
+    assert scatter.square / scatter.freedom > 1.5
+    assert 0.5 < scatter.square / scatter.freedom / scatter.expected.max() < 2.0
 
 
 def test_lost_samples_make_no_rotation_that_does_not_scatter(independent: ModuleType) -> None:

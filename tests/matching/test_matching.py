@@ -155,6 +155,19 @@ def test_noise_of_the_encoder_that_is_answered_a_tick_later_turns_no_sign(sign: 
             observed(seen, bench)
 
 
+def test_noise_of_the_encoder_that_hides_the_ringing_shows_no_sign() -> None:
+    """Sampled more slowly than it is controlled, the current may rise with the noise."""
+    bench = reference_bench()
+    recording = bench.simulate(8e-4, rotations=5.0)
+    gain = bench.value("speed_gain_nm_s_per_rad") / bench.value("torque_constant_nm_per_a")
+    noise = 20.0 * np.random.default_rng(3).standard_normal(recording.samples)
+    noisy = {
+        MOTOR_SPEED: recording.motor_speed_rpm + RPM_PER_RAD_PER_S * noise,
+        MOTOR_CURRENT: recording.channels[MOTOR_CURRENT] + 0.5 * gain * noise,
+    }
+    observed(replace(recording, channels={**recording.channels, **noisy}), bench)
+
+
 def test_a_fit_says_why_its_bench_cannot_be_simulated() -> None:
     asked = model(reference_bench())
     weak = replace(asked, bench=reference_bench().with_parameters(current_limit_a=3.0))

@@ -72,6 +72,14 @@ def told(check: JointCheck) -> list[str]:
     return [sentence(finding) for finding in check["findings"]]
 
 
+def test_noise_that_stands_out_by_chance_shows_no_gain() -> None:
+    """Gravity's wave and noise alone, with which the current rises: no order shows the gain."""
+    noise = np.random.default_rng(6).standard_normal((5, 4000))
+    wave = np.cos(2.0 * np.pi * np.arange(4000) / 4000)
+    signals = np.stack([2.0 * wave + 6.0 * noise, 8.0 * wave + 0.3 * noise])
+    assert PROPORTIONAL not in {feature.name for feature in features(signals, 2e-3)}
+
+
 def found_values(gap_rad: float, seed: int | None) -> dict[str, tuple[float, float]]:
     """Value and standard error of every feature of a recording, of noise-free signals for none."""
     generator = None if seed is None else np.random.default_rng(seed)

@@ -608,6 +608,20 @@ def test_soft_edges_that_show_are_in_the_interval_of_the_gap_but_not_of_its_chan
     assert abs(change.mean() - 2e-4) < 3.5 * change.std()
 
 
+def test_no_gap_is_known_more_precisely_than_the_edges_of_the_arctan_are_wide() -> None:
+    """Alike in both snapshots, so the change is as precise as before."""
+    fit = pair(BENCH)
+    posterior = sample_direct(fit, SamplerSettings(), np.random.SeedSequence(1), withheld=True)
+    certain = replace(posterior, draws=np.zeros_like(posterior.draws) + fit.point)
+    nothing = np.zeros((1, fit.point.size))
+    view = Linearised(np.zeros(1), nothing, np.eye(fit.point.size), nothing[0], [], nothing[:, :0])
+    moved = marginalised(certain, search(view), np.random.SeedSequence(2))
+    before, after = moved.values(GAP, "before"), moved.values(GAP, "after")
+    edge_rad = 1.0 / BENCH.value("stiffness_sharpness_per_rad")
+    assert before.std() == pytest.approx(edge_rad, rel=0.1)
+    assert np.ptp(after - before) < 1e-3 * edge_rad
+
+
 def test_no_drift_takes_a_parameter_below_zero_that_its_tolerance_lowers() -> None:
     nominal = BENCH.value(STIFFNESS)
     bench = replace(

@@ -15,7 +15,7 @@ import pytest
 from places import ROOT
 from scipy import stats
 
-from bayesbl.ramps.flanks import find_flanks, lost_motion, of_cycles
+from bayesbl.ramps.flanks import find_flanks, lost_motion, of_cycles, stiffness
 from bayesbl.ramps.play import Widths, sample_play
 from bayesbl.ramps.torque_cycles import find_ramps
 from bayesbl.recording.readers import read_recording
@@ -334,6 +334,19 @@ def test_gearboxes_of_a_test_stand_have_the_play_that_their_author_read():
     assert grew["baseline_pc_cf"] < 0.7
     assert [p for p, _ in by_preload] == sorted((p for p, _ in by_preload), reverse=True)
     assert [play > 0.5 for _, play in by_preload] == [True, True, False, False]
+
+
+@pytest.mark.skipif(not STAND.is_dir(), reason="the recordings of the actuators are not here")
+@pytest.mark.parametrize(
+    ("actuator", "ratio", "published_nm_per_rad"), [("sspg", 7.2, 242.7), ("cpg", 14.0, 201.6)]
+)
+def test_the_stiffness_of_two_actuators_is_the_published_one(actuator, ratio, published_nm_per_rad):
+    """Position of the motor, torque of the output, within 2 %."""
+    table = STAND.parent / "planetary_compact" / f"transmission_stiffness_{actuator}.csv.gz"
+    columns = np.genfromtxt(table, delimiter=",", names=True)
+    ramps = find_ramps(columns["output_torque_Nm"], columns["encoder_pos_rad"] / ratio)
+    (cycle,) = ramps.cycles
+    assert stiffness(cycle) == pytest.approx(published_nm_per_rad, rel=0.02)
 
 
 @pytest.mark.long

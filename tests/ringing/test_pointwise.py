@@ -14,6 +14,7 @@ from synthetic_ringing import QUICK
 
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import innovation_share, innovations
+from bayesbl.recording.types import MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.pointwise import (
     innovation_sd,
@@ -22,7 +23,7 @@ from bayesbl.ringing.pointwise import (
     predicted,
     rotations_of,
 )
-from bayesbl.ringing.symbols import AMPLITUDE, DECAY
+from bayesbl.ringing.symbols import AMPLITUDE, DECAY, MEAN
 from bayesbl.ringing.waveform import model_speed
 
 
@@ -85,6 +86,20 @@ def test_the_innovations_of_a_differentiated_process_are_those_of_the_process(po
     """A white process of sd 1 changes from sample to sample with the variance 2."""
     white = replace(point.noise, sd_rpm=np.sqrt(2.0), coefficients=np.zeros(0), differentiated=True)
     assert innovation_sd(white) == pytest.approx(1.0)
+
+
+def test_a_differentiated_process_shows_the_mean_speed_by_the_position(point):
+    """The slope of n positions with white noise of sd 1 has the standard error √(12/n³)."""
+    white = replace(point.noise, sd_rpm=np.sqrt(2.0), coefficients=np.zeros(0), differentiated=True)
+    counts = np.diff(np.random.default_rng(5).standard_normal(point.objective.samples + 1))
+    speed = point.optimum.predict(point.objective.time_s) + counts
+    own = replace(
+        point, noise=white, recording=replace(point.recording, channels={MOTOR_SPEED: speed})
+    )
+    draws, *_ = likelihood_draws(own, np.zeros_like, 1000, np.random.default_rng(4))
+    error = np.sqrt(12.0 / point.objective.samples**3)
+    assert draws[MEAN].std() == pytest.approx(error, rel=0.3)
+    assert abs(draws[MEAN].mean() - point.optimum.symbols[MEAN]) < 4.0 * error
 
 
 def test_recordings_that_are_predicted_scatter_like_the_noise(point):

@@ -60,7 +60,6 @@ CONTACT_SOFTNESS = Effect(
     data="impacts that begin softly, most beside a small gap",
     reference="Kahraman & Singh 1991, J. Sound Vib. 146, 135",
     always_in=True,
-    in_nominal=True,  # the arctan form is soft itself
 )
 
 # Teeth that have just met damp nothing yet, whereas the shaft's D_s acts at once.

@@ -24,7 +24,7 @@ from bayesbl.units import in_words, unit_of
 if TYPE_CHECKING:
     from bayesbl.diagnosis.disagreement import DisagreementSummary, Use
     from bayesbl.diagnosis.groups import DiagnosisSummary
-    from bayesbl.identification.groups import IdentificationSummary, ParameterSummary
+    from bayesbl.identification.groups import IdentificationSummary
 
     Piece = tuple[str, str, Use, DisagreementSummary]
 
@@ -75,8 +75,7 @@ def held_out(tree: xr.DataTree, recording: str, use: Use) -> Figure:
         0.06 / style.DOUBLE_COLUMN_IN, 1.0 - 0.06 / (top + height), "\n".join(heading),
         va="top", linespacing=1.25,
     )  # fmt: skip
-    axes: list[Axes] = []
-    titles: list[str] = []
+    heads: dict[Axes, str] = {}
     window: tuple[float, float] | None = None
     for row, (channel, sizes) in enumerate(rms.items()):
         course = _compared(tree["signals"].to_dataset(), recording, use, channel)
@@ -85,12 +84,11 @@ def held_out(tree: xr.DataTree, recording: str, use: Use) -> Figure:
         zoom = figure.add_subplot(spec[row, 1])
         _draw_zoom(zoom, course, channel, window)
         name = CHANNELS.get(channel, channel)
-        axes += [maps[0], zoom]
-        titles += [f"{name}, recorded − simulated", "the tinted part"]
+        heads |= {maps[0]: f"{name}, recorded − simulated", zoom: "the tinted part"}
     every = figure.add_subplot(spec[:, 2])
     _draw_every(every, pieces)
-    style.head_panels([*axes, every], [*titles, "RMS over noise floor"])
-    handles, labels = axes[1].get_legend_handles_labels()
+    style.head_panels([*heads, every], [*heads.values(), "RMS over noise floor"])
+    handles, labels = zoom.get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="upper left", ncols=3, borderaxespad=0.0,
         bbox_to_anchor=(0.0, 1.0 - (0.08 + style.LINE_IN * len(heading)) / (top + height)),
@@ -168,11 +166,9 @@ def _draw_zoom(
             time[inside], course[stage][inside], color=look.colour, linestyle=look.dashes,
             linewidth=0.9, label=label,
         )  # fmt: skip
-    panel.set_xlim(*window)
-    panel.set_xlabel("Time (s)")
-    panel.locator_params(axis="x", nbins=4)
     name = capitalised(CHANNELS.get(channel, channel))
-    panel.set_ylabel(f"{name} ({unit_of(channel)})")
+    panel.set(xlim=window, xlabel="Time (s)", ylabel=f"{name} ({unit_of(channel)})")
+    panel.locator_params(axis="x", nbins=4)
 
 
 def _draw_every(panel: Axes, pieces: Sequence[Piece]) -> None:
@@ -190,28 +186,25 @@ def _draw_every(panel: Axes, pieces: Sequence[Piece]) -> None:
         panel.text(1.0, row - 0.2, f" {text}", va="bottom")
     panel.axvline(1.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)), zorder=0.5)
     style.plain_log_axis(panel.xaxis, (1.0, 2.0, 5.0) if reach < 30.0 else (1.0,))
-    panel.set_xlim(0.85, 1.25 * max(reach, 1.6))
-    panel.set_ylim(len(pieces) - 0.5, -0.8)
-    panel.set_yticks([])
+    panel.set(xlim=(0.85, 1.25 * max(reach, 1.6)), xlabel="RMS / noise floor")
+    panel.set(ylim=(len(pieces) - 0.5, -0.8), yticks=[])
     panel.spines["left"].set_visible(False)
-    panel.set_xlabel("RMS / noise floor")
 
 
 LEVEL_SD = 1.645  # half-width of a 90 % interval in standard deviations
 
-_LABELS = {
-    "motor_angle": "Motor angle from the first recording's start (turns)",
-    "load_angle": "Load angle (°), 0 hangs down",
-    "motor_speed": "Motor speed (rad/s)",
-    "time": "Time from the start of the first recording (s)",
+_VARIABLES = {
+    "motor_angle": (0.5 / math.pi, "Motor angle from the first recording's start (turns)"),
+    "load_angle": (180.0 / math.pi, "Load angle (°), 0 hangs down"),
+    "motor_speed": (1.0, "Motor speed (rad/s)"),
+    "time": (1.0, "Time from the start of the first recording (s)"),
 }
+"""Scale of what a learned term depends on, and label."""
 _LEARNED = {
     "learned_torque": ("torque_nm", "sd_nm", 1.0, "Learned torque\nat the {} (N m)"),
     "encoder_error": ("angle_rad", "sd_rad", 1e3, "Error of the\nencoder (mrad)"),
 }
 """Variables of each group, scale of their values, and label."""
-
-_SCALES = {"motor_angle": 0.5 / math.pi, "load_angle": 180.0 / math.pi}
 
 
 @stored_figure(
@@ -230,16 +223,15 @@ def learned_course(tree: xr.DataTree) -> Figure:
     assert term is not None
     figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0)
     panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
-    x = stored["variable"].values * _SCALES.get(term["variable"], 1.0)
+    in_unit, variable = _VARIABLES[term["variable"]]
+    x = stored["variable"].values * in_unit
     course, reach = scale * stored[value].values, scale * LEVEL_SD * stored[deviation].values
     panel.fill_between(x, course - reach, course + reach, color=style.BAND, linewidth=0.0)
     panel.plot(x, course, color=style.MODEL)
     panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.5)
-    panel.set_xlim(x[0], x[-1])
+    panel.set(xlim=(x[0], x[-1]), xlabel=variable, ylabel=label.format(term["side"]))
     if term["variable"] == "load_angle":
         panel.set_xticks([-180.0, -90.0, 0.0, 90.0, 180.0])
-    panel.set_xlabel(_LABELS[term["variable"]])
-    panel.set_ylabel(label.format(term["side"]))
     return figure
 
 
@@ -256,7 +248,18 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     place = style.grid(figure, 1, 1, left=1.55, right=1.75, top=0.35, bottom=0.45)
     panel = figure.add_subplot(place[0, 0])
     for line, entry in enumerate(parameters.values()):
-        _draw_parameter(panel, line, entry)
+        prior, posterior = entry["prior"], entry["posterior"]
+        value, median = prior["value"], posterior["median"]
+        scale = 100.0 / value if value else 1.0
+        low, high, *ends = (
+            scale * (one[end] - value) for one in (prior, posterior) for end in ("low", "high")
+        )
+        panel.barh(line, high - low, left=low, height=0.6, color=style.BAND, zorder=1)
+        panel.plot(ends, (line, line), color=style.MODEL, linewidth=1.4, zorder=2)
+        panel.plot(scale * (median - value), line, "o", color=style.MODEL, markersize=4.0, zorder=3)
+        unit = f" {entry['unit']}" if entry["unit"] else ""
+        text = f"{significant(median, 4)}{unit}, learned {max(0.0, 100.0 * entry['learned']):.0f} %"
+        panel.text(1.02, line, text, transform=panel.get_yaxis_transform(), va="center")
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6, zorder=0)
     panel.set_ylim(len(parameters) - 0.5, -0.5)
     panel.set_yticks(range(len(parameters)), [in_words(name).capitalize() for name in parameters])
@@ -271,23 +274,3 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     ]
     figure.legend(handles=handles, loc="upper left", ncols=2)
     return figure
-
-
-def _draw_parameter(panel: Axes, line: int, entry: ParameterSummary) -> None:
-    prior, posterior = entry["prior"], entry["posterior"]
-    scale = 100.0 / prior["value"] if prior["value"] else 1.0
-
-    def percent(value: float) -> float:
-        return scale * (value - prior["value"])
-
-    low, high = percent(prior["low"]), percent(prior["high"])
-    panel.barh(line, high - low, left=low, height=0.6, color=style.BAND, zorder=1)
-    ends = (percent(posterior["low"]), percent(posterior["high"]))
-    panel.plot(ends, (line, line), color=style.MODEL, linewidth=1.4, zorder=2)
-    panel.plot(percent(posterior["median"]), line, "o", color=style.MODEL, markersize=4.0, zorder=3)
-    unit = f" {entry['unit']}" if entry["unit"] else ""
-    learned = max(0.0, 100.0 * entry["learned"])
-    panel.text(
-        1.02, line, f"{significant(posterior['median'], 4)}{unit}, learned {learned:.0f} %",
-        transform=panel.get_yaxis_transform(), va="center",
-    )  # fmt: skip

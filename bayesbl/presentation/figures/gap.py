@@ -28,14 +28,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import (
-    RAREST,
-    bounds,
-    curve_name,
-    middle,
-    probability,
-    route_in_words,
-)
+from bayesbl.presentation.words import RAREST, bounds, curve_name, in_words, middle, probability
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.store import summary_of
 from bayesbl.results.variables import STACKED
@@ -74,8 +67,7 @@ def gap(tree: xr.DataTree) -> Figure:
     )
     axes = [figure.add_subplot(spec[0, column]) for column in range(columns)]
     titles = [f"gap δ, {interval_name(tree)}"]
-    limit = tree.attrs.get("limit_rad")
-    _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", limit)
+    _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", tree.attrs.get("limit_rad"))
     if changes:
         _draw_rows(axes[1], tree, changes, len(changes), "Change of the gap δ (mrad)")
         axes[1].axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
@@ -85,27 +77,22 @@ def gap(tree: xr.DataTree) -> Figure:
 
 
 def _gap_rows(tree: xr.DataTree) -> list[_Row]:
-    """Rows by snapshot, the answering route first."""
+    """Rows by snapshot, with its date if it has one; the answering route first."""
     routes = [name for name in routes_of(tree) if holds(tree.children[name], f"posterior/{GAP}")]
     each = {route: stored_answers(tree, route) for route in routes}
+    names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
+    if "wear" in tree.children:
+        dates = map(Date.fromisoformat, map(str, tree["wear"].to_dataset()["date"].values))
+        names = [f"{name}, {day:%d %b %Y}" for name, day in zip(names, dates, strict=True)]
     rows = []
-    for index, name in enumerate(_names(tree)):
+    for index, name in enumerate(names):
         for route in routes:
             snapshot, answers = each[route][index], route == routes[0]
-            label = [name] * answers + [f"by {route_in_words(route)}"] * (len(routes) > 1)
+            label = [name] * answers + [f"by {in_words(route)}"] * (len(routes) > 1)
             draws = 1e3 * snapshot.values("posterior", GAP).ravel()
-            colour = gap_colour(snapshot, index)
+            colour = style.look(index).colour
             rows.append(_Row("\n".join(label), draws, colour, answers, snapshot.withheld))
     return rows
-
-
-def _names(tree: xr.DataTree) -> list[str]:
-    """Name of every snapshot, with its date if it has one."""
-    names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
-    if "wear" not in tree.children:
-        return names
-    days = [Date.fromisoformat(str(d)) for d in tree["wear"].to_dataset()["date"].values]
-    return [f"{name}, {day:%d %b %Y}" for name, day in zip(names, days, strict=True)]
 
 
 def _change_rows(tree: xr.DataTree) -> list[_Row]:
@@ -113,7 +100,6 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
     if "change" not in tree.children:
         return []
     summary = summary_of(tree)
-    names = [part["name"] for part in summary["snapshots"]]
     rows: list[_Row] = []
     for route in routes_of(tree):
         if not holds(tree.children[route], f"posterior/{GAP}"):
@@ -121,14 +107,12 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
         first, *_, last = stored_answers(tree, route)
         draws = 1e3 * (last.values("posterior", GAP) - first.values("posterior", GAP)).ravel()
         withheld = summary["routes"][route]["change_rad"] is None
-        colour = style.WITHHELD if withheld else style.NEUTRAL
-        rows.append(_Row(f"by {route_in_words(route)}", draws, colour, not rows, withheld))
-    stored = tree["change"].to_dataset()
-    for number, step in enumerate(summary["changes"] if len(names) > 2 else ()):
+        rows.append(_Row(f"by {in_words(route)}", draws, style.NEUTRAL, not rows, withheld))
+    stored, steps = tree["change"].to_dataset(), summary["changes"]
+    for number, step in enumerate(steps if len(steps) > 1 else ()):
         draws = 1e3 * stored["step_change_rad"].values[number].ravel()
-        withheld = step["change_rad"] is None
-        colour = style.WITHHELD if withheld else style.look(number + 1).colour
-        rows.append(_Row(f"{step['from']} to\n{step['to']}", draws, colour, True, withheld))
+        label, colour = f"{step['from']} to\n{step['to']}", style.look(number + 1).colour
+        rows.append(_Row(label, draws, colour, True, step["change_rad"] is None))
     return rows
 
 
@@ -154,36 +138,15 @@ def _draw_rows(
     limit_rad: float | None = None,
 ) -> None:
     """Draw rows from top to bottom; only the answer's densities are filled."""
-    texts: list[tuple[float, int, str]] = []
-    ends_shown: list[float] = []
-    for place, row in enumerate(rows):
+    drawn = []
+    for row in rows:
         across, heights = density(row.draws)
         visible = heights > VISIBLE * heights.max()
-        across, heights = across[visible], heights[visible]
-        ends_shown += [float(across[0]), float(across[-1])]
-        ridge = place - _RIDGE * heights / heights.max()
-        if row.answers:
-            panel.fill_between(across, ridge, place, color=row.colour, alpha=0.35, linewidth=0.0)
-        panel.plot(across, ridge, color=row.colour, linewidth=0.7)
-        if row.withheld:
-            text = "withheld"
-        else:
-            interval = credible_interval(tree, row.draws)
-            panel.plot(
-                [interval["low"], interval["high"]],
-                [place, place],
-                color=row.colour,
-                linewidth=2.2,
-                solid_capstyle="butt",
-            )
-            panel.plot([interval["median"]], [place], color=row.colour, marker="|", markersize=7.0,
-                       markeredgewidth=1.4)  # fmt: skip
-            text = f"{middle(interval)}  ({bounds(interval)})"
-        texts.append((float(np.median(row.draws)), place, text))
-    low, high = min(ends_shown), max(ends_shown)
+        drawn.append((across[visible], heights[visible] / heights.max()))
+    low = min(float(across[0]) for across, _ in drawn)
+    high = max(float(across[-1]) for across, _ in drawn)
     if limit_rad is not None:
         limit = 1e3 * float(limit_rad)
-        panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.LIMIT_DASHES)
         panel.annotate(
             f"limit {limit:g}", (limit, -0.95), (-3.0, 0.0), textcoords="offset points",
             ha="right", va="top", fontsize=7.0,
@@ -192,7 +155,18 @@ def _draw_rows(
     # Draws of a withheld gap may all be the same.
     room = 0.05 * ((high - low) or abs(high) or 1.0)
     panel.set_xlim(low - room, high + room)
-    for at, place, text in texts:
+    for place, (row, (across, heights)) in enumerate(zip(rows, drawn, strict=True)):
+        ridge, colour = place - _RIDGE * heights, style.WITHHELD if row.withheld else row.colour
+        if row.answers:
+            panel.fill_between(across, ridge, place, color=colour, alpha=0.35, linewidth=0.0)
+        panel.plot(across, ridge, color=colour, linewidth=0.7)
+        at, text = float(np.median(row.draws)), "withheld"
+        if not row.withheld:
+            interval = credible_interval(tree, row.draws)
+            ends = [interval["low"], interval["high"]]
+            panel.plot(ends, [place, place], color=colour, lw=2.2, solid_capstyle="butt")
+            panel.plot(interval["median"], place, "|", color=colour, ms=7.0, mew=1.4)
+            text = f"{middle(interval)}  ({bounds(interval)})"
         share = (at - low + room) / (high - low + 2.0 * room)
         side = "left" if share < 0.3 else "right" if share > 0.7 else "center"
         away = {"left": -12.0, "right": 12.0, "center": 0.0}[side]
@@ -200,12 +174,13 @@ def _draw_rows(
             text, (at, place), (away, -4.5), textcoords="offset points", ha=side, va="top",
             fontsize=7.0,
         )  # fmt: skip
-    panel.set_ylim(count - 0.45, -1.0)
+    if limit_rad is not None:  # above the densities
+        panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.LIMIT_DASHES)
+    panel.set(ylim=(count - 0.45, -1.0), xlabel=label)
     panel.set_yticks(range(len(rows)), [row.label for row in rows])
     panel.tick_params(axis="y", length=0.0)
     panel.spines["left"].set_visible(False)
     panel.grid(axis="x", color=style.NEUTRAL, alpha=0.15, linewidth=0.5)
-    panel.set_xlabel(label)
 
 
 THROUGH = "curve_amplitude_rpm"
@@ -236,8 +211,7 @@ def amplitude_to_gap(tree: xr.DataTree) -> Figure:
         _draw_snapshot(panel, tree, snapshot, index)
     _set_view(panel, tree, parts)
     style.limit_line(panel, tree)
-    panel.set_xlabel("Amplitude of the ringing A (rpm)")
-    panel.set_ylabel("Gap δ (mrad)")
+    panel.set(xlabel="Amplitude of the ringing A (rpm)", ylabel="Gap δ (mrad)")
     style.legend_over(figure, panel, 2)
     return figure
 
@@ -251,11 +225,10 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
         drawn[shown], 1e3 * gaps[shown], linestyle="none", marker=".", markersize=1.6,
         markeredgewidth=0.0, color=colour, alpha=0.45, zorder=2.0,
     )  # fmt: skip
-    amplitude = credible_interval(tree, drawn)
-    delta = credible_interval(tree, 1e3 * gaps)
+    amplitude, delta = credible_interval(tree, drawn), gap_interval(tree, snapshot)
     main.errorbar(
-        [amplitude["median"]],
-        [delta["median"]],
+        amplitude["median"],
+        delta["median"],
         xerr=style.reach(amplitude),
         yerr=style.reach(delta),
         capsize=2.0,
@@ -296,10 +269,8 @@ def wear(tree: xr.DataTree) -> Figure:
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
     limited = "years_to_limit" in group
     spec = style.grid(figure, 1, 2 if limited else 1, top=0.6)
-    panels, titles = (
-        [figure.add_subplot(spec[0, 0])],
-        ["gap and its path" + (" since the repair" if np.any(group["used"] == 0.0) else "")],
-    )
+    panels = [figure.add_subplot(spec[0, 0])]
+    titles = ["gap and its path" + (" since the repair" if np.any(group["used"] == 0.0) else "")]
     ahead = _years_ahead(group)
     _draw_gaps(panels[0], tree, group, ahead)
     if limited:
@@ -308,9 +279,8 @@ def wear(tree: xr.DataTree) -> Figure:
         _draw_limit_reached(panels[1], group, ahead)
     for panel in panels:
         locator = AutoDateLocator(minticks=3, maxticks=7)  # type: ignore[no-untyped-call]
-        panel.xaxis.set_major_locator(locator)
         formatter = ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
-        panel.xaxis.set_major_formatter(formatter)
+        panel.xaxis.set(major_locator=locator, major_formatter=formatter)
         panel.set_xlabel("Date")
     style.head_panels(panels, titles)
     style.legend_over(figure, panels[0])
@@ -376,16 +346,15 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
         panel.plot(shown, middle, color=style.MODEL, label="path, median")
     parts, used = snapshots(tree), group["used"].values
     every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
-    own = style.look(1)
     for index, (day, part) in enumerate(zip(every, parts, strict=True)):
         interval = gap_interval(tree, part)
         colour = gap_colour(part, 1) if used[index] or part.withheld else style.NEUTRAL
         panel.errorbar(
-            [day],
-            [interval["median"]],
+            day,
+            interval["median"],
             yerr=style.reach(interval),
             color=colour,
-            marker=own.marker,
+            marker=style.look(1).marker,
             markerfacecolor=colour if used[index] and not part.withheld else "white",
             linestyle="none",
             markersize=3.0,
@@ -416,8 +385,7 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     limit = 1e3 * float(tree.attrs.get("limit_rad", 0.0))
     highest = max(limit, *(interval["high"] for interval in gaps))
     room = (_HIGHEST_VIEW - 1.0) * highest
-    panel.set_ylim(max(0.0, lowest - 0.5 * room), highest + room)
-    panel.set_ylabel("Gap δ (mrad)")
+    panel.set(ylim=(max(0.0, lowest - 0.5 * room), highest + room), ylabel="Gap δ (mrad)")
 
 
 def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
@@ -438,5 +406,4 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
         )
     if panel.get_legend_handles_labels()[0]:
         panel.legend(loc="lower right")
-    panel.set_ylim(0.0, 1.03)
-    panel.set_ylabel("Probability")
+    panel.set(ylim=(0.0, 1.03), ylabel="Probability")

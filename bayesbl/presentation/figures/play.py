@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -30,18 +31,32 @@ from bayesbl.presentation.figures.style import GAP
 )
 def ramp_loops(tree: xr.DataTree) -> Figure:
     """A panel for each snapshot with its files, centred; the band is the play 2δ."""
-    return _panels(tree, "loop", _draw_ramp_loops)
+    labels = "Torque at the output (N m)", "Position at the output (mrad)"
+    return _panels(tree, "loop", _draw_ramp_loops, labels)
 
 
 def _panels(
-    tree: xr.DataTree, group: str, draw: Callable[[Axes, xr.DataTree, Snapshot, int], None]
+    tree: xr.DataTree,
+    group: str,
+    draw: Callable[[Axes, xr.DataTree, Snapshot, int], None],
+    labels: tuple[str, str],
 ) -> Figure:
     """A panel for each snapshot that the route with this group stores."""
     parts = snapshots(tree, group)
     lines = 2 if len(parts) == 1 and group == "loop" else 1
-    figure, axes = style.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * style.LINE_IN)
-    for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
+    above = (lines + 0.2) * style.LINE_IN  # for the legend
+    columns = min(len(parts), 2)
+    rows = math.ceil(len(parts) / columns)
+    width = style.SINGLE_COLUMN_IN if len(parts) == 1 else style.DOUBLE_COLUMN_IN
+    figure = style.new_figure(width, 2.6 * rows + 0.2 + above)
+    spec = style.grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35))
+    axes: list[Axes] = []
+    for index, snapshot in enumerate(parts):
+        shared = axes[0] if axes else None
+        panel = figure.add_subplot(spec[divmod(index, columns)], sharex=shared, sharey=shared)
         draw(panel, tree, snapshot, index)
+        panel.set(xlabel=labels[0], ylabel="" if index % columns else labels[1])
+        axes.append(panel)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     most = max(axes, key=lambda panel: len(panel.lines))
     style.legend_over(figure, most, 4 // lines)
@@ -49,10 +64,8 @@ def _panels(
 
 
 def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
-    torque, position, file = (
-        snapshot.values("loop", name) for name in ("torque_nm", "position_rad", "file")
-    )
-    low, high = snapshot.values("loop", "left_low_rad"), snapshot.values("loop", "left_high_rad")
+    names = ("torque_nm", "position_rad", "file", "left_low_rad", "left_high_rad")
+    torque, position, file, low, high = (snapshot.values("loop", name) for name in names)
     play = credible_interval(tree, 2e3 * snapshot.values("posterior", GAP))
     colour = gap_colour(snapshot, index)
     if not snapshot.withheld:
@@ -78,9 +91,6 @@ def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: 
             label="left at zero torque" if place == 0 else None,
         )  # fmt: skip
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.5)
-    panel.set_xlabel("Torque at the output (N m)")
-    if index % style.MOST_COLUMNS == 0:  # the axes are shared
-        panel.set_ylabel("Position at the output (mrad)")
 
 
 @stored_figure(
@@ -92,14 +102,13 @@ def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: 
 )
 def flank_paths(tree: xr.DataTree) -> Figure:
     """A panel for each snapshot; the band is the play 2δ."""
-    return _panels(tree, "transmission", _draw_flank_paths)
+    labels = "Angle of the load (rad)", "Motor minus load (mrad)"
+    return _panels(tree, "transmission", _draw_flank_paths, labels)
 
 
 def _draw_flank_paths(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
-    angle, forward, lag, model = (
-        snapshot.values("transmission", name)
-        for name in ("position_rad", "forward", "lag_rad", "model_rad")
-    )
+    names = ("position_rad", "forward", "lag_rad", "model_rad")
+    angle, forward, lag, model = (snapshot.values("transmission", name) for name in names)
     for way, look, label in ((1.0, style.look(0), "forwards"), (0.0, style.look(1), "backwards")):
         own = forward == way
         panel.plot(
@@ -115,6 +124,3 @@ def _draw_flank_paths(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index:
         )  # fmt: skip
     spread = 1e3 * float(np.quantile(np.abs(lag), 0.995))
     panel.set_ylim(-1.3 * spread - 1e-9, 1.3 * spread + 1e-9)
-    panel.set_xlabel("Angle of the load (rad)")
-    if index % style.MOST_COLUMNS == 0:  # the axes are shared
-        panel.set_ylabel("Motor minus load (mrad)")

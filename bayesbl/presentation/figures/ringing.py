@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from scipy.ndimage import gaussian_filter
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
-    each_snapshot,
     holding,
     interval_name,
     snapshots,
@@ -28,21 +28,7 @@ _OVERLAY_IN = 2.4
 _BINS = 700
 
 
-class _Signal(NamedTuple):
-    """What is drawn of a snapshot, each of shape (n,), s and rpm."""
-
-    time: FloatArray
-    speed: FloatArray
-    model: FloatArray
-    low: FloatArray
-    high: FloatArray
-    residual: FloatArray
-
-
-def _signal(snapshot: Snapshot) -> _Signal:
-    time, speed = snapshot.time_s, snapshot.channel("motor_speed_rpm")
-    names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
-    return _Signal(time, speed, *(snapshot.values("predictive", name) for name in names))
+_Signals = Mapping[str, FloatArray]  # ``time``, ``measured``, ``model``, ``residual``, each (n,)
 
 
 @stored_figure(
@@ -55,24 +41,24 @@ def signal(tree: xr.DataTree) -> Figure:
     band = band.replace("HDI", "predictive band")
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
     spec = style.grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
-    heads: list[Axes] = []
-    titles: list[str] = []
+    heads: dict[Axes, str] = {}
     for row, snapshot in enumerate(parts):
         inner = spec[row, 0].subgridspec(
             2, 3, height_ratios=(2.4, 1.0), width_ratios=(2.3, 1.0, 1.0), hspace=0.08, wspace=0.16
         )
         panels = inner.subplots(sharex="col", sharey="row", squeeze=False)
         upper, lower = panels[:, 0]
-        data = _signal(snapshot)
+        names = ("model", "low", "high", "residual")
+        data = {name: snapshot.values("predictive", f"{name}_rpm") for name in names}
+        data |= {"time": snapshot.time_s, "measured": snapshot.channel("motor_speed_rpm")}
         _draw_whole(upper, lower, data)
-        heads.append(upper)
-        titles.append(f"{snapshot.name}: whole recording")
+        heads[upper] = f"{snapshot.name}: whole recording"
         for column, positive in ((1, True), (2, False)):
             edges = start, stop = impact_window(snapshot, positive)
             begin, end = start - 0.4 * (stop - start), stop + 0.4 * (stop - start)
             top, bottom = panels[:, column]
-            inside = (data.time >= begin) & (data.time <= end)
-            _draw_part(top, bottom, _Signal(*(part[inside] for part in data)), band)
+            inside = (data["time"] >= begin) & (data["time"] <= end)
+            _draw_part(top, bottom, {name: part[inside] for name, part in data.items()}, band)
             for edge, label in zip(edges, ("window of the fit", None), strict=True):
                 for axes in (top, bottom):
                     axes.axvline(
@@ -80,14 +66,12 @@ def signal(tree: xr.DataTree) -> Figure:
                     )
             for axes in (upper, lower):
                 style.shade(axes, begin, end)
-            heads.append(top)
-            titles.append("positive pulse" if positive else "negative pulse")
-        upper.set_ylabel("Motor speed (rpm)")
-        lower.set_ylabel("Residual (rpm)")
-        for axes in (upper, lower):
+            heads[top] = "positive pulse" if positive else "negative pulse"
+        for axes, label in ((upper, "Motor speed (rpm)"), (lower, "Residual (rpm)")):
+            axes.set_ylabel(label)
             axes.yaxis.set_label_coords(-0.125, 0.5)
-    style.head_panels(heads, titles)
-    style.legend_over(figure, heads[1])
+    style.head_panels(list(heads), list(heads.values()))
+    style.legend_over(figure, list(heads)[1])
     return figure
 
 
@@ -105,49 +89,37 @@ def impact_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
     return start, start + length
 
 
-def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
+def _draw_whole(upper: Axes, lower: Axes, data: _Signals) -> None:
     """Outlines of dense traces, which show every extreme."""
-    time, _, band_high = style.envelope(data.time, data.high, _BINS)
-    _, band_low, _ = style.envelope(data.time, data.low, _BINS)
-    upper.fill_between(time, band_low, band_high, color=style.BAND, linewidth=0.0)
-    _outline(upper, data.time, data.speed, style.MEASURED)
-    _outline(upper, data.time, data.model, style.MODEL)
-    _outline(lower, data.time, data.residual, style.MEASURED)
+    time = data["time"]
+    middle, _, high = style.envelope(time, data["high"], _BINS)
+    _, low, _ = style.envelope(time, data["low"], _BINS)
+    upper.fill_between(middle, low, high, color=style.BAND, linewidth=0.0)
+    outlines = (upper, "measured", style.MEASURED), (upper, "model", style.MODEL)
+    for axes, name, colour in (*outlines, (lower, "residual", style.MEASURED)):
+        middle, low, high = style.envelope(time, data[name], _BINS)
+        axes.fill_between(middle, low, high, color=colour, linewidth=0.5)
     lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
-    lower.set_xlim(data.time[0], data.time[-1])
-    lower.set_xlabel("Time (s)")
+    lower.set(xlim=(time[0], time[-1]), xlabel="Time (s)")
 
 
-def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str) -> None:
-    middle, low, high = style.envelope(time, values, _BINS)
-    axes.fill_between(middle, low, high, color=colour, linewidth=0.5)
-
-
-def _draw_part(top: Axes, bottom: Axes, data: _Signal, band: str) -> None:
+def _draw_part(top: Axes, bottom: Axes, data: _Signals, band: str) -> None:
     """Every sample of a short stretch."""
-    top.fill_between(data.time, data.low, data.high, color=style.BAND, linewidth=0.0, label=band)
-    low, high = data.low - data.model, data.high - data.model
-    bottom.fill_between(data.time, low, high, color=style.BAND, linewidth=0.0)
-    _draw_samples(top, bottom, data.time, data.speed, data.model, data.residual, "model")
+    time, model, low, high = (data[name] for name in ("time", "model", "low", "high"))
+    top.fill_between(time, low, high, color=style.BAND, linewidth=0.0, label=band)
+    bottom.fill_between(time, low - model, high - model, color=style.BAND, linewidth=0.0)
+    _draw_samples(top, bottom, data, "model")
     bottom.locator_params(axis="x", nbins=3)
 
 
-def _draw_samples(
-    upper: Axes,
-    lower: Axes,
-    time: FloatArray,
-    measured: FloatArray,
-    model: FloatArray,
-    residual: FloatArray,
-    label: str,
-) -> None:
+def _draw_samples(upper: Axes, lower: Axes, data: _Signals, label: str) -> None:
     """A measured signal and its model, with the residual below."""
-    upper.plot(time, measured, color=style.MEASURED, linewidth=0.7, label="measured")
-    upper.plot(time, model, color=style.MODEL, linewidth=1.0, label=label)
-    lower.plot(time, residual, color=style.MEASURED, linewidth=0.7, label="residual")
+    time = data["time"]
+    upper.plot(time, data["measured"], color=style.MEASURED, linewidth=0.7, label="measured")
+    upper.plot(time, data["model"], color=style.MODEL, linewidth=1.0, label=label)
+    lower.plot(time, data["residual"], color=style.MEASURED, linewidth=0.7, label="residual")
     lower.axhline(0.0, color=style.MODEL, linewidth=0.7)
-    lower.set_xlim(time[0], time[-1])
-    lower.set_xlabel("Time (s)")
+    lower.set(xlim=(time[0], time[-1]), xlabel="Time (s)")
 
 
 _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
@@ -166,8 +138,7 @@ def overlay(tree: xr.DataTree) -> Figure:
     channels = [c for c in _CHANNELS if any(_has(part, c) for part in parts)]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _OVERLAY_IN * len(parts))
     spec = style.grid(figure, len(parts), len(channels), top=0.45, between=(0.55, 0.65))
-    heads: list[Axes] = []
-    titles: list[str] = []
+    heads: dict[Axes, str] = {}
     for row, snapshot in enumerate(parts):
         for column, channel in enumerate(channels):
             if not _has(snapshot, channel):
@@ -175,11 +146,10 @@ def overlay(tree: xr.DataTree) -> Figure:
             inner = spec[row, column].subgridspec(2, 1, height_ratios=(2.2, 1.0), hspace=0.08)
             (upper,), (lower,) = inner.subplots(sharex=True, squeeze=False)
             _draw_overlay(upper, lower, snapshot, channel)
-            heads.append(upper)
             moves = "flank_changes" in snapshot.group("predictive")
-            titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
-    style.head_panels(heads, titles)
-    style.legend_over(figure, heads[0])
+            heads[upper] = f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}"
+    style.head_panels(list(heads), list(heads.values()))
+    style.legend_over(figure, next(iter(heads)))
     return figure
 
 
@@ -194,17 +164,18 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
     period = snapshot.number("predictive", "rotation_period_s")
     begin = time[0] + 0.5 * max(0.0, time[-1] - time[0] - period)
     inside = (time >= begin) & (time <= begin + period)
-    simulated, residual = (
-        snapshot.values("predictive", f"{name}_{channel}")[inside]
-        for name in ("simulated", "residual")
-    )
-    measured, label = snapshot.channel(channel)[inside], "simulated at the optimum"
-    _draw_samples(upper, lower, time[inside], measured, simulated, residual, label)
-    reach = 1.1 * float(np.nanmax(np.abs(residual)))
-    lower.set_ylim(-reach, reach)
-    unit = _CHANNELS[channel].rsplit(" ", 1)[1]
+    whole = {
+        "time": time,
+        "measured": snapshot.channel(channel),
+        "model": snapshot.values("predictive", f"simulated_{channel}"),
+        "residual": snapshot.values("predictive", f"residual_{channel}"),
+    }
+    data = {name: values[inside] for name, values in whole.items()}
+    _draw_samples(upper, lower, data, "simulated at the optimum")
+    reach = 1.1 * float(np.nanmax(np.abs(data["residual"])))
     upper.set_ylabel(_CHANNELS[channel])
-    lower.set_ylabel(f"Residual {unit}")
+    unit = _CHANNELS[channel].rsplit(" ", 1)[1]
+    lower.set(ylim=(-reach, reach), ylabel=f"Residual {unit}")
     if "flank_left_s" in snapshot.group("predictive"):
         parted, met = (snapshot.values("predictive", f"flank_{end}_s") for end in ("left", "met"))
         for start, stop in zip(time[0] + parted, time[0] + met, strict=True):
@@ -230,11 +201,16 @@ class _Symbol(NamedTuple):
 
     @classmethod
     def of(cls, name: str, values: FloatArray) -> _Symbol:
-        values = 1e3 * values if name == style.GAP else values
+        label = "δ\n(mrad)"
+        if name == style.GAP:
+            values = 1e3 * values
+        else:  # as ``T$_{w}$``, above its unit
+            letter, _, index = SYMBOLS[name].paper.partition("_")
+            label = letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"
         low, high = np.quantile(values, _RANGE)
         margin = 0.08 * (high - low) or 1.0
         low, high = low - margin, high + margin
-        return cls(_label(name), float(low), float(high), _CELLS * (values - low) / (high - low))
+        return cls(label, float(low), float(high), _CELLS * (values - low) / (high - low))
 
     def ticks(self) -> list[tuple[float, str]]:
         """Position, in cells, and label of each tick."""
@@ -244,12 +220,19 @@ class _Symbol(NamedTuple):
         return [(scale * (value - self.low), f"{value:.10g}") for value in shown]
 
 
+def _each_snapshot(tree: xr.DataTree) -> Iterator[tuple[str, tuple[Snapshot]]]:
+    """One figure for each snapshot; that of a fit has no own name."""
+    for snapshot in snapshots(tree, "posterior/amplitude_rpm"):
+        name = f"_{snapshot.name}".replace(" ", "_")
+        yield name if tree.attrs["kind"] == "compare" else "", (snapshot,)
+
+
 @stored_figure(
     "The posterior of every free symbol, pair by pair: contours hold 50 % and 90 % of the draws, "
     "dashed lines are the median and the 5 % and 95 % quantiles; τ is a decay rate.",
     40,
     holding("posterior/amplitude_rpm"),
-    parts=each_snapshot("posterior/amplitude_rpm"),
+    parts=_each_snapshot,
 )
 def corner(snapshot: Snapshot) -> Figure:
     """Marginals on the diagonal, pairs below, for every free symbol and δ.
@@ -312,11 +295,3 @@ def _pair(up: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
     held = np.empty(smooth.size)
     held[order] = np.cumsum(smooth.ravel()[order]) / smooth.sum()
     return counts / counts.max(), held.reshape(smooth.shape)
-
-
-def _label(name: str) -> str:
-    """``T$_{w}$`` above its unit."""
-    if name == style.GAP:
-        return "δ\n(mrad)"
-    letter, _, index = SYMBOLS[name].paper.partition("_")
-    return letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"

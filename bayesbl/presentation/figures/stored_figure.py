@@ -69,17 +69,6 @@ Parts = Callable[[xr.DataTree], Iterable[tuple[str, tuple[object, ...]]]]
 """From a result to the end of each file's name and what its figure is drawn from."""
 
 
-def each_snapshot(path: str) -> Parts:
-    """One figure for each snapshot of the route that holds this; that of a fit has no own name."""
-
-    def parts(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
-        compared = tree.attrs["kind"] == "compare"
-        for snapshot in snapshots(tree, path):
-            yield f"_{snapshot.name}".replace(" ", "_") if compared else "", (snapshot,)
-
-    return parts
-
-
 def whole(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
     """One figure for the whole result."""
     yield "", (tree,)

@@ -7,7 +7,6 @@ same everywhere, so no solver has to find them.
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -98,8 +97,7 @@ def publication_style() -> Iterator[None]:
     """Use these settings within the block, whatever the user's own are."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        for name, value in _RC.items():
-            mpl.rcParams[name] = value
+        mpl.rcParams.update(_RC)
         yield
 
 
@@ -152,7 +150,6 @@ def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> lis
     return files
 
 
-MOST_COLUMNS = 2
 LINE_IN = 0.15  # height of a legend's line
 
 
@@ -184,22 +181,6 @@ def grid(
         wspace=between[1] / column,
         width_ratios=widths,
     )
-
-
-def one_panel_each(
-    count: int, height_in: float, *, above: float = 0.0
-) -> tuple[Figure, list[Axes]]:
-    """Panels of snapshots, two in a row, with shared axes; ``above``: inches for a legend."""
-    columns = min(count, MOST_COLUMNS)
-    rows = math.ceil(count / columns)
-    width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN
-    figure = new_figure(width, rows * height_in + 0.2 + above)
-    spec = grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35))
-    axes: list[Axes] = []
-    for i in range(count):
-        first = axes[0] if axes else None
-        axes.append(figure.add_subplot(spec[divmod(i, columns)], sharex=first, sharey=first))
-    return figure, axes
 
 
 def envelope(

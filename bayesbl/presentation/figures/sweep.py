@@ -16,7 +16,7 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
-from bayesbl.presentation.words import source_in_words
+from bayesbl.presentation.words import in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
@@ -53,22 +53,20 @@ def curve(tree: xr.DataTree) -> Figure:
     _draw_whole(whole, tree, papers)
     axes, titles = [whole], ["gap and amplitude"]
     if papers or wide:
-        far = figure.add_subplot(right[0, 0])
-        _draw_far(far, tree, papers)
-        far.tick_params(labelbottom=False)
-        axes.append(far)
+        axes.append(figure.add_subplot(right[0, 0]))
         titles.append("eq. 4 of the paper (dashed)" if papers else "tolerances")
-    close = figure.add_subplot(right[-1, 0])
-    _draw_close(close, tree)
-    axes.append(close)
+        _draw_far(axes[-1], tree, papers)
+        axes[-1].tick_params(labelbottom=False)
+    axes.append(figure.add_subplot(right[-1, 0]))
     titles.append("the sweep")
+    _draw_close(axes[-1], tree)
     amplitude = _values(tree, "curve/amplitude")
     for panel in axes[1:]:
         style.plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
         panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
         panel.yaxis.set_label_coords(-0.13, 0.5)
         panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.9, zorder=1.5)
-    close.set_xlabel("Amplitude of the ringing A (rpm)")
+    axes[-1].set_xlabel("Amplitude of the ringing A (rpm)")
     style.head_panels(axes, titles)
     return figure
 
@@ -113,10 +111,8 @@ def _draw_whole(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
         sweep["amplitude_rpm"].values.ravel(), 1e3 * np.repeat(sweep["gap_rad"].values, starts),
         label=f"sweep: {sweep.sizes['gap']} gaps, {starts} start angles", **_POINTS,
     )  # fmt: skip
-    panel.set_xlim(left=0.0)
-    panel.set_ylim(bottom=0.0)
-    panel.set_xlabel("Amplitude of the ringing A (rpm)")
-    panel.set_ylabel("Gap δ (mrad)")
+    panel.set(xlabel="Amplitude of the ringing A (rpm)", ylabel="Gap δ (mrad)")
+    panel.set(xlim=(0.0, None), ylim=(0.0, None))
     panel.legend(loc="upper left")
 
 
@@ -135,10 +131,7 @@ def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
 
 def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
     """Wide sources, and eq. 4 if it belongs to this bench."""
-    knots = _values(tree, "curve/knots_rpm")
-    for source, (low, high) in source_bands(tree).items():
-        if source in _WIDE_SOURCES:
-            _draw_band(panel, knots, low, high, source)
+    _draw_bands(panel, tree, {k: v for k, v in source_bands(tree).items() if k in _WIDE_SOURCES})
     if papers:
         inside, eq4 = _paper(tree)
         nominal = curve_from_dataset(tree["curve"].to_dataset(), "").gap(inside)
@@ -156,19 +149,16 @@ def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
     stored, sweep = tree["curve"].to_dataset(), tree["sweep"].to_dataset()
     knots = stored["knots_rpm"].values
     bands = {k: v for k, v in source_bands(tree).items() if k not in _WIDE_SOURCES}
-    for source, (low, high) in sorted(bands.items(), key=lambda item: -float(np.ptp(item[1]))):
-        _draw_band(panel, knots, low, high, source)
+    _draw_bands(panel, tree, bands)
     panel.plot(
         knots, 100.0 * np.expm1(-stored["correction"].values), color=style.MODEL,
         linestyle=(0.0, (1.0, 1.0)), label=f"{_kind(tree)} alone",
     )  # fmt: skip
     nominal = curve_from_dataset(stored, "")
     scatter = 100.0 * nominal.log_slope(knots) * stored["start_angle_sd_rpm"].values
-    for sign in (-1.0, 1.0):
-        panel.plot(
-            knots, sign * scatter, color=style.NEUTRAL, linewidth=0.7, linestyle=(0.0, (5.0, 2.0)),
-            label="start angle, ± 1 sd" if sign > 0.0 else None,
-        )  # fmt: skip
+    dashes = (0.0, (5.0, 2.0))
+    for edge, label in ((-scatter, None), (scatter, "start angle, ± 1 sd")):
+        panel.plot(knots, edge, color=style.NEUTRAL, lw=0.7, linestyle=dashes, label=label)
     panel.plot(
         sweep["amplitude_rpm"].values.ravel(), departures_from_curve(tree).ravel(),
         label="sweep points", **_POINTS,
@@ -179,13 +169,14 @@ def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
     panel.legend(loc="upper right", ncols=2, columnspacing=1.0)
 
 
-def _draw_band(
-    panel: Axes, knots: FloatArray, low: FloatArray, high: FloatArray, source: str
+def _draw_bands(
+    panel: Axes, tree: xr.DataTree, bands: Mapping[str, tuple[FloatArray, FloatArray]]
 ) -> None:
-    panel.fill_between(
-        knots, low, high, color=_FILLS.get(source, "#f0e0c0"), linewidth=0.0,
-        label=source_in_words(source),
-    )  # fmt: skip
+    """The widest first, below the others."""
+    knots = _values(tree, "curve/knots_rpm")
+    for source, (low, high) in sorted(bands.items(), key=lambda item: -float(np.ptp(item[1]))):
+        colour = _FILLS.get(source, "#f0e0c0")
+        panel.fill_between(knots, low, high, color=colour, linewidth=0.0, label=in_words(source))
 
 
 @stored_figure(
@@ -201,11 +192,10 @@ def disturbance(tree: xr.DataTree) -> Figure:
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.6)
     spec = style.grid(figure, 1, 3, top=0.5, between=(0.0, 0.25), widths=(1.5, 1.0, 1.0))
     whole = figure.add_subplot(spec[0, 0])
-    positive = figure.add_subplot(spec[0, 1], sharey=whole)
-    negative = figure.add_subplot(spec[0, 2], sharey=whole)
     begin, length = pulse_view(tree)
     # A quarter of a rotation from either end, as the arm starts level.
-    views = {positive: np.argmax(speeds[-1]), negative: np.argmin(speeds[-1])}
+    peaks = (np.argmax(speeds[-1]), np.argmin(speeds[-1]))  # of a positive and a negative pulse
+    views = {figure.add_subplot(spec[0, n], sharey=whole): peak for n, peak in enumerate(peaks, 1)}
     for gap, speed, colour in zip(gaps, speeds, colours(len(gaps)), strict=True):
         label = f"δ = {1e3 * gap:.2f} mrad"
         whole.plot(time, speed, color=colour, linewidth=0.8, label=label)
@@ -213,16 +203,11 @@ def disturbance(tree: xr.DataTree) -> Figure:
             panel.plot(1e3 * (time - time[peak] - begin), speed, color=colour, linewidth=1.0)
     for peak in views.values():
         style.shade(whole, time[peak] + begin, time[peak] + begin + length)
-    whole.set_xlim(time[0], time[-1])
-    whole.set_xlabel("Time (s)")
-    whole.set_ylabel("Motor speed (rpm)")
+    whole.set(xlim=(time[0], time[-1]), xlabel="Time (s)", ylabel="Motor speed (rpm)")
     for panel in views:
-        panel.set_xlim(0.0, 1e3 * length)
-        panel.set_xlabel("Time in the shaded part (ms)")
+        panel.set(xlim=(0.0, 1e3 * length), xlabel="Time in the shaded part (ms)")
         panel.tick_params(labelleft=False)
-    style.head_panels(
-        [whole, positive, negative], ["one load rotation", "positive pulse", "negative pulse"]
-    )
+    style.head_panels([whole, *views], ["one load rotation", "positive pulse", "negative pulse"])
     figure.legend(*whole.get_legend_handles_labels(), loc="upper center", ncols=len(gaps))
     return figure
 

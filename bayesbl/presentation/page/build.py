@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 from markupsafe import Markup
 
-from bayesbl.presentation import words
+from bayesbl.arguments import File, checked
+from bayesbl.presentation import answer, words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.console import SUBJECTS, all_bibtex, blocks, details, origin
 from bayesbl.presentation.figures.stored_figure import drawn
@@ -50,8 +51,9 @@ class Picture:
     """How wide it is drawn."""
 
 
-def write_page(result: str | Path) -> Path:
-    """Write ``report.html`` beside a stored result, over an earlier one.
+@checked
+def write_page(result: File) -> Path:
+    """Write ``report.html`` beside a stored result, over an earlier one; its path.
 
     Parameters
     ----------
@@ -77,32 +79,32 @@ def write_page_of(tree: xr.DataTree, path: Path, figures: Path | None = None) ->
 
 def page(tree: xr.DataTree, pictures: Sequence[Picture]) -> str:
     """The page as HTML; every text from a user is escaped."""
-    return templates().get_template("page.html").render(**_content(tree, pictures))
-
-
-def fragment(headline: str, blocks: Sequence[Block]) -> str:
-    """The answer as HTML without a style, for a notebook."""
-    macros: Any = templates().get_template("blocks.html").module
-    return f"<p><strong>{prose(headline)}</strong></p>{macros.blocks(blocks)}"
-
-
-def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     summary = summarise(tree)
     subject = SUBJECTS[summary["kind"]]
     headline, advice = subject.headline(summary), subject.advice(summary)
+    assumptions = (
+        answer.assumptions(summary) if answer.is_measured(summary) else subject.ASSUMPTIONS
+    )
     said = {headline, *advice.sentences}
-    return {
+    content = {
         "title": TITLES[summary["kind"]],
         "headline": headline,
         "advice": advice,
         "pictures": pictures,
         "numbers": [block for block in blocks(summary) if getattr(block, "text", "") not in said],
         "details": list(details(tree, summary)),
-        "assumptions": list(subject.assumptions(summary)),
+        "assumptions": list(assumptions),
         "config": tree.attrs.get("config", ""),
         "origin": list(origin(tree)),
         "bibtex": all_bibtex(),
     }
+    return templates().get_template("page.html").render(content)
+
+
+def fragment(headline: str, blocks: Sequence[Block]) -> str:
+    """The answer as HTML without a style, for a notebook."""
+    macros: Any = templates().get_template("blocks.html").module
+    return f"<p><strong>{prose(headline)}</strong></p>{macros.blocks(blocks)}"
 
 
 def _pictures(tree: xr.DataTree, stored: Path | None) -> Iterator[Picture]:

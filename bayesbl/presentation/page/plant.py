@@ -9,14 +9,14 @@ import base64
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from datetime import date as Date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import labelled, numbers, table, text
+from bayesbl.presentation.blocks import labelled, table
 from bayesbl.presentation.fleet import (
     OUTCOMES,
     Cell,
@@ -142,18 +142,15 @@ def write_pages(folder: Path) -> list[Path]:
 def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
     """A row of the index."""
     return {
-        "name": row["joint"],
+        **row,
         "address": f"joints/{quote(str(row['joint']))}.html",
         "gearbox": row["gearbox"] or "",
-        "rank": row["rank"],
-        "alarm": row["alarm"],
         "gap": in_mrad(row, "delta_rad", summary),
         "rate": in_mrad(row, "rate_rad_per_year", summary),
         "limit": limit_reached(row),
         "passed": _cell(row["probability_limit_now"], words.probability),
         "cost": _cell(row["expected_cost"], _cost),
         "state": state(row, summary),
-        "reason": row["reason"] or "",
         "picture": picture(_given(recordings), row["limit_rad"]),
     }
 
@@ -162,35 +159,28 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
     from bayesbl.fleet.plant_tables import JOINT_COLUMNS
 
     own = {key: v for key, v in row.items() if key not in JOINT_COLUMNS and v is not None}
-    titles = ("Gap (mrad)", "Outcome", "Used for the rate", "Notes", "File")
-    cells = (
-        (
-            one["date"],
-            " ".join(filter(None, (gap.text, gap.below))),
-            OUTCOMES[str(one["outcome"])],
-            "yes" if one["used"] else "no",
-            one["reason"] or one["notes"] or "",
-            one["file"],
+    titles = ("Date", "#Gap (mrad)", "Outcome", "Used for the rate", "Notes", "File")
+    cells = []
+    for one in reversed(recordings):
+        gap, why = in_mrad(one, "delta_rad", summary), one["reason"] or one["notes"] or ""
+        outcome, used = OUTCOMES[str(one["outcome"])], "yes" if one["used"] else "no"
+        cells.append(
+            (one["date"], f"{gap.text} {gap.below}".strip(), outcome, used, why, one["file"])
         )
-        for one in reversed(recordings)
-        for gap in [in_mrad(one, "delta_rad", summary)]
-    )
     return {
         "name": row["joint"],
         "gearbox": row["gearbox"],
         "headline": _headline(row, summary),
         "reason": row["reason"],
         "picture": picture(_given(recordings), row["limit_rad"], axes=True),
-        "numbers": [*labelled({**dict(_facts(row, summary)), **own})],
-        "recordings": [table((text("Date"), numbers(titles[0]), *map(text, titles[1:])), cells)],
+        "numbers": [*labelled({**_facts(row, summary), **own})],
+        "recordings": [table(titles, cells)],
     }
 
 
 def _headline(row: Row, summary: Row) -> str:
-    gap, rate = (
-        interval_of(row, "delta_rad", summary),
-        interval_of(row, "rate_rad_per_year", summary),
-    )
+    gap = interval_of(row, "delta_rad", summary)
+    rate = interval_of(row, "rate_rad_per_year", summary)
     if gap is None:
         return f"{row['joint']}: the gap is not known."
     said = f"{row['joint']}: the gap was {words.in_mrad(gap)} on {row['last_date']}"
@@ -204,40 +194,36 @@ def _headline(row: Row, summary: Row) -> str:
     return f"{said}, and grows by {words.middle(rate, 1e3)} mrad a year{how}."
 
 
-def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
-    rates = [("Rate of wear", "rate_rad_per_year")]
-    if row["pooled"]:
-        rates.append(("Rate by its own recordings", "rate_alone_rad_per_year"))
-    for label, name in rates:
+def _facts(row: Row, summary: Row) -> dict[str, str | None]:
+    """What is known of a joint; ``None`` is not."""
+
+    def rate(name: str) -> str | None:
         interval = interval_of(row, name, summary)
-        if interval is not None:
-            yield (
-                label,
-                f"{words.middle(interval, 1e3)} ({words.bounds(interval, 1e3)}) mrad a year",
-            )
-    if row["rate_rad_per_year_median"] is not None:
-        yield "Uses other joints of its type", "yes" if row["pooled"] else "no"
-        if row["probability_unlike_type"] is not None:
-            yield (
-                "Probability that it wears unlike its type",
-                words.probability(row["probability_unlike_type"]),
-            )
-        yield "Most likely law", LAWS[row["law"]]
-        yield "Probability of growth", words.probability(row["probability_wear"])
-    if row["limit_rad"] is not None:
-        yield "Limit", f"{1e3 * row['limit_rad']:g} mrad"
-    if row["probability_limit_now"] is not None:
-        yield "Probability above the limit", words.probability(row["probability_limit_now"])
-    if row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None:
-        reached = limit_reached(row)
-        yield "Reaches the limit", f"{reached.text} ({reached.below})"
-        yield "Not before", row["limit_date_not_before"] or "1000 years"
-    if row["probability_limit_before"] is not None:
-        chance = words.probability(row["probability_limit_before"])
-        yield f"Probability before {summary['decide_before']}", chance
-    if row["expected_cost"] is not None:
-        yield f"Expected cost before {summary['decide_before']}", _cost(row["expected_cost"])
-    yield "Recordings", f"{row['recordings']}, {row['used']} of them used for the rate"
+        if interval is None:
+            return None
+        return f"{words.middle(interval, 1e3)} ({words.bounds(interval, 1e3)}) mrad a year"
+
+    def shown(name: str, in_words: Callable[[Any], str]) -> str | None:
+        return None if row[name] is None else in_words(row[name])
+
+    before, chance = summary["decide_before"], words.probability
+    reached, ahead = limit_reached(row), row["limit_date_not_before"] or "1000 years"
+    forecast = row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None
+    return {
+        "Rate of wear": rate("rate_rad_per_year"),
+        "Rate by its own recordings": rate("rate_alone_rad_per_year") if row["pooled"] else None,
+        "Uses other joints of its type": shown("law", lambda _: "yes" if row["pooled"] else "no"),
+        "Probability that it wears unlike its type": shown("probability_unlike_type", chance),
+        "Most likely law": shown("law", LAWS.__getitem__),
+        "Probability of growth": shown("probability_wear", chance),
+        "Limit": shown("limit_rad", lambda limit: f"{1e3 * limit:g} mrad"),
+        "Probability above the limit": shown("probability_limit_now", chance),
+        "Reaches the limit": f"{reached.text} ({reached.below})" if forecast else None,
+        "Not before": ahead if forecast else None,
+        f"Probability before {before}": shown("probability_limit_before", chance),
+        f"Expected cost before {before}": shown("expected_cost", _cost),
+        "Recordings": f"{row['recordings']}, {row['used']} of them used for the rate",
+    }
 
 
 def _cell(value: float | None, in_words: Callable[[float], str]) -> Cell:
