@@ -71,30 +71,27 @@ def _end_with_parent() -> None:
 @contextmanager
 def _single_threaded() -> Iterator[None]:
     """Processes started in the block use one thread each."""
-    before = {name: os.environ.get(name) for name in _THREADS}
+    before = {name: os.environ[name] for name in _THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in _THREADS:
+            os.environ.pop(name, None)
+        os.environ.update(before)
 
 
 @contextmanager
 def _script_not_imported() -> Iterator[None]:
     """Processes started in the block do not run the script again, which may lack a guard."""
-    main = sys.modules["__main__"]
-    names = ("__file__", "__spec__")
-    before: dict[str, Any] = {name: vars(main)[name] for name in names if name in vars(main)}
-    vars(main).pop("__file__", None)
-    main.__spec__ = None
+    main = vars(sys.modules["__main__"])
+    before: dict[str, Any] = {n: main[n] for n in ("__file__", "__spec__") if n in main}
+    main.pop("__file__", None)
+    main["__spec__"] = None
     try:
         yield
     finally:
-        vars(main).update(before)
+        main.update(before)
 
 
 Item = TypeVar("Item")

@@ -45,6 +45,8 @@ autodoc_typehints = "signature"
 napoleon_custom_sections = ["Returns"]  # prose: the type stands in the signature
 
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["tables.css"]
 html_title = f"bayesbl {version}"
 html_show_copyright = False
 html_show_sourcelink = False

@@ -28,7 +28,8 @@ HEAD = """# Every key of a configuration
 is TOML and must state `schema = 1` and its `kind`; paths are relative to it. For an unknown key,
 the error names the nearest known one. `bayesbl init` writes a first file, `bayesbl check CONFIG`
 checks one without running it. Editors complete keys by the JSON Schemas in `docs/schema` (in Taplo,
-by a first line `#:schema docs/schema/compare.json`). A row in bold begins a section of the file.
+by a first line `#:schema docs/schema/compare.json`). In the tables, a key in brackets begins a
+section of the file, and a key in bold is required.
 """
 
 
@@ -61,7 +62,7 @@ def _page() -> str:
     for kind, what in FILES.items():
         schema = MODELS[kind].model_json_schema()
         parts.append(f'## `kind = "{kind}"`: {what}\n')
-        parts.append("| key | value | default |\n|---|---|---|")
+        parts.append("| key, with its default | value |\n|---|---|")
         own: dict[str, list[str]] = {}
         shared: dict[str, list[str]] = {}
         for name, section in _sections(schema, schema, ""):
@@ -116,15 +117,14 @@ def _rows(name: str, section: Schema, whole: Schema) -> str:
     """Its text, and a row for all keys of one value and default."""
     text = " ".join(re.sub(r"``(.+?)``", r"`\1`", section.get("description", "")).split())
     text = text.removeprefix(f"`{name}`: ")
-    lines = [f"| {text[:1].upper()}{text[1:]} | |"] if name else []
+    lines = [f"| {text[:1].upper()}{text[1:]} |"] if name else []
     rows: dict[str, list[str]] = {}
     for key, value in section.get("properties", {}).items():
         if not name and key in ("schema", "kind"):  # of every file
             continue
         if not any(True for _ in _inner(whole, value)) or "anyOf" in value:
-            row = f"{_kind(whole, value)} | {_default(key, value, section)}"
-            rows.setdefault(row, []).append(f"`{key}`")
-    lines += [f"| {', '.join(keys)} | {row} |" for row, keys in rows.items()]
+            rows.setdefault(_kind(whole, value), []).append(_default(key, value, section))
+    lines += [f"| {', '.join(keys)} | {kind} |" for kind, keys in rows.items()]
     return "\n".join(lines)
 
 
@@ -137,20 +137,22 @@ def _kind(whole: Schema, value: Schema) -> str:
     if "enum" in value:
         return ", ".join(f"`{json.dumps(v)}`" for v in value["enum"])
     if "$ref" in value:
-        return "a table"
+        return "table"
     match value.get("type"):
         case "array":
             items = value.get("prefixItems") or [value.get("items", {})]
             inner = [_kind(whole, item) for item in items]
+            if len(inner) == 2 and len(set(inner)) == 1:
+                return f"[low, high], each a {inner[0]}"
             return f"[{', '.join(inner)}{'' if 'prefixItems' in value else ', …'}]"
         case "object":
             inner = value.get("additionalProperties")
             is_typed = isinstance(inner, Mapping) and inner
-            return f"a table; each value is {_kind(whole, inner)}" if is_typed else "a table"
+            return f"table; values: {_kind(whole, inner)}" if is_typed else "table"
         case "string":
-            return {"path": "a path", "date": "a date"}.get(value.get("format", ""), "text")
+            return {"path": "path", "date": "date"}.get(value.get("format", ""), "text")
         case "boolean":
-            return "true or false"
+            return "boolean"
         case "number" | "integer" as number:
             bounds = [
                 f"{sign} {value[key]:g}"
@@ -162,25 +164,27 @@ def _kind(whole: Schema, value: Schema) -> str:
                 )
                 if key in value and abs(value[key]) < 1e18
             ]
-            what = "a whole number" if number == "integer" else "a number"
-            return f"{what} {' and '.join(bounds)}".rstrip()
+            if "minimum" in value and "maximum" in value:
+                return f"{number} from {value['minimum']:g} to {value['maximum']:g}"
+            return f"{number} {' and '.join(bounds)}".rstrip()
         case _:
             return "any"
 
 
 def _default(key: str, value: Schema, section: Schema) -> str:
+    """A key with its default, in bold if it is required."""
     if key == "name" and "file" in section["properties"]:
-        return "from the file name"
+        return f"`{key}` (from the file name)"
     either = [kind["required"] for kind in section.get("anyOf", ())]
     if [key] in either:
-        return "required, or " + " or ".join(f"`{k}`" for (k,) in either if k != key)
+        return f"**`{key}`** or " + " or ".join(f"**`{k}`**" for (k,) in either if k != key)
     if key in section.get("required", ()):
-        return "required"
+        return f"**`{key}`**"
     if value.get("default") is None:
-        return "all cores" if key == "workers" else ""
+        return f"`{key}` (all cores)" if key == "workers" else f"`{key}`"
     if key == "route" and "bench" in section["properties"]:
-        return '`"auto"` with a bench, else `"amplitude"`'
-    return f"`{json.dumps(value['default'])}`"
+        return f'`{key} = "auto"` with a bench, else `"amplitude"`'
+    return f"`{key} = {json.dumps(value['default'])}`"
 
 
 if __name__ == "__main__":

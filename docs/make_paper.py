@@ -208,7 +208,7 @@ def _code(address: str) -> str:
     if not colon:
         return f"`{_file(address)}`"
     getattr(import_module(f"bayesbl.{module}"), name)
-    return f"`{name}` in `bayesbl/{module.replace('.', '/')}.py`"
+    return f"`bayesbl.{module}.{name}`"
 
 
 def _configuration(text: str) -> str:

@@ -52,10 +52,11 @@ HEAD = """# Keys, variables and columns of results
 
 `python docs/make_results.py` makes this page from the program's declarations.
 
-A result folder has `summary.json` (the answer), `result.nc` (everything, an xarray tree with units
-on every variable), `config.toml` (the configuration that was run) and `figures`. A fleet's folder
-has tables instead. A new run replaces only files that `manifest.json` lists. A withheld quantity is
-null, and `reason` says why. Keys in brackets exist only if they apply.
+A result folder has `summary.json` (the answer), `result.nc` (everything, an xarray tree),
+`config.toml` (the configuration that was run) and `figures`. A fleet's folder has tables instead. A
+new run replaces only files that `manifest.json` lists. A withheld quantity is null, and `reason`
+says why. Keys in brackets exist only if they apply. `[x]` is a list of x, `{x}` a table of x by
+name.
 """
 
 
@@ -75,13 +76,13 @@ def _keys() -> Iterator[str]:
     for title, table in ({"every kind": Head} | summaries).items():
         yield f"| {title} | {_keys_of(table, parts)} |"
     yield "\nThe parts, whose names are in italics above:\n"
-    yield "| part | what it is | keys |\n|---|---|---|"
+    yield "| part | keys |\n|---|---|"
     rows = [  # parts grow on the way
         (_title(part), _plain(part.__doc__ or UNNAMED[_title(part)]), _keys_of(part, parts))
         for part in parts
     ]
-    for row in sorted(rows):
-        yield f"| {' | '.join(row)} |"
+    for name, text, keys in sorted(rows):
+        yield f"| **{name}**: {text} | {keys} |"
     yield ""
 
 
@@ -120,12 +121,12 @@ def _value(hint: Any, parts: list[Any]) -> str:
     if get_origin(hint) is Literal:
         return ", ".join(f'`"{choice}"`' for choice in get_args(hint))
     if get_origin(hint) is list:
-        return f"list: {inner[0]}"
+        return f"[{inner[0]}]"
     if get_origin(hint) is dict:
-        return f"by name: {inner[1]}"
+        return f"{{{inner[1]}}}"
     if inner:
         return " or ".join(inner)
-    words = {str: "text", float: "number", int: "whole number", bool: "true or false"}
+    words = {str: "text", float: "number", int: "integer", bool: "boolean"}
     return words.get(hint, "null" if hint is type(None) else "any")
 
 
@@ -138,11 +139,10 @@ def _title(part: Any) -> str:
 def _variables() -> Iterator[str]:
     yield "## Variables of `result.nc`\n"
     yield (
-        "A row in bold begins the variables of a route or kind of result. In a comparison,\n"
-        "variables of a recording have a first dimension `snapshot`. Not listed are variables\n"
-        "named after a symbol, a parameter or a channel (their attributes `units` and `long_name`\n"
-        "explain them), the coordinates `chain` (number of the independent ensemble) and `draw`,\n"
-        "and coordinates ending in `_`, which repeat those without it.\n"
+        "In a comparison, variables of a recording have a first dimension `snapshot`. Not listed\n"
+        "are variables named after a symbol, a parameter or a channel, and coordinates that label\n"
+        "the dimension of their name (`chain`: the independent ensembles). The attributes `units`\n"
+        "and `long_name` explain every variable.\n"
     )
     listed: list[Group] = []
     sections: dict[str, list[str]] = {}
@@ -153,16 +153,25 @@ def _variables() -> Iterator[str]:
             _row(group, variable)
             for group in own
             for variable in (*group.variables, *group.coordinates)
-            if variable.name not in ("chain", "draw") and not variable.name.endswith("_")
+            if variable.dims != (variable.name,)
         ]
     times = Counter(row for rows in sections.values() for row in rows)
-    yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
-    yield "| **Of several routes** | | | |"
-    yield from (row for row, count in times.items() if count > 1)
+    yield "| variable (dimensions) | unit | meaning |\n|---|---|---|"
+    yield "| **Of several routes** | | |"
+    yield from _merged(row for row, count in times.items() if count > 1)
     for title, rows in sections.items():
-        yield f"| **{title}** | | | |"
-        yield from (row for row in rows if times[row] == 1)
+        yield f"| **{title}** | | |"
+        yield from _merged(row for row in rows if times[row] == 1)
     yield ""
+
+
+def _merged(rows: Iterable[tuple[str, str, str]]) -> Iterator[str]:
+    """A line for all variables of a section that have the same dimensions and cells."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for name, dims, cells in rows:
+        names.setdefault((dims, cells), []).append(f"`{name}`")
+    for (dims, cells), alike in names.items():
+        yield f"| {', '.join(alike)} {dims}".rstrip() + f" | {cells} |"
 
 
 def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group]:
@@ -173,18 +182,21 @@ def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group
                 yield one
 
 
-def _row(group: Group, variable: Variable) -> str:
-    name, dimensions = f"`{group.name}/{variable.name}`", ", ".join(variable.dims)
-    cells = (name, dimensions, variable.unit, variable.meaning)
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+def _row(group: Group, variable: Variable) -> tuple[str, str, str]:
+    """Path and dimensions of a variable, and the cells behind them."""
+    cells = (variable.unit, variable.meaning)
+    text = " | ".join(cell.replace("|", chr(92) + "|") for cell in cells)
+    dims = f"({', '.join(variable.dims)})" if variable.dims else ""
+    return f"{group.name}/{variable.name}", dims, text
 
 
 def _columns() -> Iterator[str]:
     yield "## Columns of a fleet's tables\n"
     for file, columns in (("recordings", RECORDING_COLUMNS), ("joints", JOINT_COLUMNS)):
-        yield f"### `{file}.parquet`\n\n| column | type | meaning |\n|---|---|---|"
+        yield f"### `{file}.parquet`\n\n| column (type) | meaning |\n|---|---|"
         for about, names in groupby(columns, columns.__getitem__):  # neighbours alike: one row
-            yield f"| {', '.join(f'`{name}`' for name in names)} | {' | '.join(about)} |"
+            kind, meaning = about
+            yield f"| {', '.join(f'`{name}`' for name in names)} ({kind}) | {meaning} |"
         yield ""
 
 

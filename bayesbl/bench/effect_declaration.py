@@ -279,8 +279,6 @@ class Effect:
         (``configs/bias_against_visibility.toml``).
     may_change
         A setting, a cable or a weight brings it into some recordings of a joint and not others.
-    in_nominal
-        A bench includes some of it implicitly, so a joint may well have less of it than its bench.
     """
 
     place: int
@@ -302,7 +300,6 @@ class Effect:
     resonance: Resonance | None = None
     always_in: bool = False
     may_change: bool = False
-    in_nominal: bool = False
     slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

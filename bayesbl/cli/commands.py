@@ -44,7 +44,8 @@ def run_file(
     config: Path, force: bool, json: bool, *, kind: str | None = None, **options: Any
 ) -> None:
     """Run a configuration file, of this kind or of its own, with options over it."""
-    from bayesbl.runs.kinds import kind_of, load_run
+    from bayesbl.config.loading import kind_of
+    from bayesbl.runs.kinds import load_run
 
     if (kind or kind_of(config)) == "simulate":
         _simulate(config, force, json, options)
@@ -92,7 +93,7 @@ def _simulate(config: Path, force: bool, json: bool, options: dict[str, Any]) ->
     unused = [name for name, value in options.items() if value is not None]
     if unused:
         raise ConfigError(
-            "This option does not go with a simulation.",
+            "This option cannot be used with a simulation.",
             file=config,
             where=f"--{unused[0]}",
             found=options[unused[0]],
@@ -428,7 +429,7 @@ def collect_command(
 ) -> None:
     """Collect what devices publish into one recordings.parquet."""
     from bayesbl.fleet.broker import read_address, read_credentials
-    from bayesbl.runs.collect import collect
+    from bayesbl.runs.watch import collect
 
     address = read_address(url)
     _log(address.open_to_others)

@@ -283,6 +283,7 @@ class _Spring(Section):
     # The effect, the key of the inertia, the effect's parameter for it, and the bench parameter
     # that counts it too, of which it is then a share.
     as_effect: ClassVar[tuple[str, str, str, str | None]]
+    further: ClassVar[tuple[str, ...]] = ()  # keys that are parameters of the effect as they are
 
     stiffness_nm_per_rad: AboveZero
     damping_nm_s_per_rad: EffectValue = EffectValue(value=0.0)
@@ -303,7 +304,8 @@ class _Spring(Section):
         ratio = EffectParameterValue(damping.value / critical, sd and sd / critical)
         compliance = _divided(EffectValue(value=1.0), stiffness)
         spring = {"compliance_rad_per_nm": compliance, "damping_ratio": ratio}
-        return BenchEffect(name, {**spring, parameter: own})
+        more = {key: getattr(self, key).parameter() for key in self.further}
+        return BenchEffect(name, {**spring, parameter: own, **more})
 
 
 def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
@@ -314,47 +316,41 @@ def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
     return EffectParameterValue(ratio, sd or None)
 
 
+def _no_play(entry: EffectValue) -> EffectValue:
+    if entry.value != 0.0:
+        refuse(
+            "Play of the belt itself is not simulated.",
+            found=f"{entry.value:g}",
+            expected="0: a joint with a second play is withheld, not measured",
+        )
+    return entry
+
+
 class BeltSection(_Spring):
     """``[belt]``: a belt or elastic coupling between motor and gear; values at the motor.
 
-    ``motor_inertia_kg_m2`` under ``[parameters]`` is the whole inertia on the motor's side of the
-    gear; ``reducer_inertia_kg_m2`` is the part of it behind the belt.
+    ``reducer_inertia_kg_m2`` is the part behind the belt of ``motor_inertia_kg_m2`` under
+    ``[parameters]``, the whole inertia on the motor's side of the gear.
     """
 
     as_effect = ("belt", "reducer_inertia_kg_m2", "reducer_share", "motor_inertia_kg_m2")
 
     reducer_inertia_kg_m2: AboveZero
-    play_rad: EffectValue = EffectValue(value=0.0)
-
-    @field_validator("play_rad")
-    @classmethod
-    def _no_play(cls, entry: EffectValue) -> EffectValue:
-        if entry.value != 0.0:
-            refuse(
-                "Play of the belt itself is not simulated.",
-                found=f"{entry.value:g}",
-                expected="0: a joint with a second play is withheld, not measured",
-            )
-        return entry
+    play_rad: Annotated[EffectValue, AfterValidator(_no_play)] = EffectValue(value=0.0)
 
 
 class ArmSection(_Spring):
     """``[arm]``: an elastic arm or payload behind the load; values at the load.
 
-    ``load_inertia_kg_m2`` and ``gravity_torque_nm`` under ``[parameters]`` are those of the whole
-    load; ``inertia_kg_m2`` and ``gravity_share`` are the parts of these behind the spring.
+    ``inertia_kg_m2`` and ``gravity_share`` are the parts behind the spring of the whole load's
+    ``load_inertia_kg_m2`` and ``gravity_torque_nm`` under ``[parameters]``.
     """
 
     as_effect = ("arm", "inertia_kg_m2", "inertia_share", "load_inertia_kg_m2")
+    further = ("gravity_share",)
 
     inertia_kg_m2: AboveZero
     gravity_share: EffectValue = EffectValue(value=0.5)
-
-    def effect(self, values: Values) -> BenchEffect:
-        """The bench's effect, with the share of gravity."""
-        spring = super().effect(values)
-        parts = {**spring.parameters, "gravity_share": self.gravity_share.parameter()}
-        return BenchEffect(spring.name, parts)
 
 
 class BaseSection(_Spring):
@@ -375,7 +371,7 @@ class GapSection(Section):
     sine: Items[EffectValue] = ()
 
     def require_sound(self) -> None:
-        for name, entries in (("cosine", self.cosine), ("sine", self.sine)):
+        for name, entries in self:
             if len(entries) > 2:
                 refuse(
                     "A gap varies by two harmonics of the load's angle at most.",
@@ -385,8 +381,11 @@ class GapSection(Section):
 
     def effect(self) -> BenchEffect:
         """The bench's effect."""
-        parts = {f"cosine_{k}": entry.parameter() for k, entry in enumerate(self.cosine, start=1)}
-        parts |= {f"sine_{k}": entry.parameter() for k, entry in enumerate(self.sine, start=1)}
+        parts = {
+            f"{name}_{k}": entry.parameter()
+            for name, entries in self
+            for k, entry in enumerate(entries, start=1)
+        }
         return BenchEffect("gap_variation", parts)
 
 
@@ -395,9 +394,9 @@ class EffectEntry(Section):
 
     A digital drive has ``sampled_control``, with the period of its speed controller:
     ``parameters = {period_s = {value = 250e-6}}``. Its torque acts ``delay_periods`` after it reads
-    the encoder: 1, or 17 with a further dead time of 4 ms. It uses the encoder's difference over a
-    period as speed, or with ``instant_share = 1`` the speed at the sampling instant. If you state
-    no delay, the direct route and ``identify`` fit both, starting from 1 and a difference.
+    the encoder: 1, or 17 with a further dead time of 4 ms. Its speed is the difference of the
+    encoder over a period, or with ``instant_share = 1`` the speed at the sampling instant. If you
+    state no delay, the direct route and ``identify`` fit both, starting from 1 and a difference.
     """
 
     name: Annotated[str, AfterValidator(effect_name)]
@@ -421,12 +420,12 @@ class _LearnedSection(Section):
 
 
 class LearnedTorqueSection(_LearnedSection):
-    """``[learned_torque]``: a torque that repeats in recordings and that no effect explains.
+    """``[learned_torque]``: a repeating torque that no effect explains.
 
     It acts against the motor or the load, in N m there: constant_nm + Σ_k cosine_nm[k]
     cos(2π k x/period) + sine_nm[k] sin(2π k x/period), with the variable x; if it ``reverses``,
-    times the sign of the motor's speed. ``period`` is in rad, rad/s or s. ``sd_nm`` has the
-    standard deviations of constant, cosines and sines.
+    times the sign of the motor's speed. ``period`` is in rad, rad/s or s. ``sd_nm``: standard
+    deviations of constant, cosines and sines.
     """
 
     side: Side
@@ -443,8 +442,8 @@ class EncoderErrorSection(_LearnedSection):
     """``[encoder_error]``: the angle that the motor's encoder shows, minus the true one.
 
     With the motor's angle θ, in rad and inside the speed loop: Σ_k cosine_rad[k] cos(2π k
-    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad). ``sd_rad`` has the standard deviations of
-    cosines and sines.
+    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad). ``sd_rad``: standard deviations of cosines
+    and sines.
     """
 
     period: float = Field(gt=0.0, alias="period_rad")
@@ -534,7 +533,7 @@ class BenchFile(Section):
         except ZeroDivisionError:
             name = next(name for name in units if printed[name] == 0.0)
             raise BenchError(
-                "Nothing can be converted from zero here.",
+                "Zero cannot be converted from this unit.",
                 where=name,
                 found=f'0 in "{units[name]}"',
                 expected="a number above zero",

@@ -6,7 +6,6 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from datetime import date as Date
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
@@ -21,6 +20,7 @@ from bayesbl.config.measurement import (
 )
 from bayesbl.config.sections import (
     SHORTEST_WAY_RAD,
+    AngleRange,
     BenchSource,
     ChannelName,
     ClusterRun,
@@ -37,16 +37,15 @@ from bayesbl.config.sections import (
     RecordedConfig,
     RunConfig,
     Section,
+    Seed,
     SnapshotRecording,
-    differently_named,
+    Workers,
+    differing_in,
     known_name,
     refuse,
     require_different,
     resolve,
-    two_angles,
 )
-
-Angles = Items[float]
 
 
 class _PointToPoint(Section):
@@ -66,41 +65,36 @@ class StrokesMotion(_PointToPoint):
     """Between two load angles and back."""
 
     kind: Literal["strokes"]
-    range_rad: Angles
+    range_rad: AngleRange
 
-    _range = field_validator("range_rad")(two_angles)
+
+def _that_move(points: tuple[float, ...]) -> tuple[float, ...]:
+    following = points[1:] + points[:1]
+    if len(points) < 2 or any(
+        abs(b - a) < SHORTEST_WAY_RAD for a, b in zip(points, following, strict=True)
+    ):
+        refuse(
+            "Successive points of a cycle must differ.",
+            found=list(points),
+            expected="two load angles or more in rad, each different from the one before",
+        )
+    return points
 
 
 class CycleMotion(_PointToPoint):
     """Through some load angles in turn, over and over."""
 
     kind: Literal["cycle"]
-    points_rad: Angles
-
-    @field_validator("points_rad")
-    @classmethod
-    def _that_move(cls, points: tuple[float, ...]) -> tuple[float, ...]:
-        following = points[1:] + points[:1]
-        if len(points) < 2 or any(
-            abs(b - a) < SHORTEST_WAY_RAD for a, b in zip(points, following, strict=True)
-        ):
-            refuse(
-                "A cycle goes from each point to another.",
-                found=list(points),
-                expected="two load angles or more in rad, each different from the one before",
-            )
-        return points
+    points_rad: Annotated[Items[float], AfterValidator(_that_move)]
 
 
 class SineMotion(Section):
     """To and fro between two load angles, the angle a sine over time."""
 
     kind: Literal["sine"]
-    range_rad: Angles
+    range_rad: AngleRange
     period_s: Positive
     duration_s: Positive
-
-    _range = field_validator("range_rad")(two_angles)
 
 
 class TorqueRampMotion(Section):
@@ -126,8 +120,8 @@ MotionSection = Annotated[
 class SimulatedRecording(Section):
     """A recording to simulate: in steady rotation, or in a ``motion``.
 
-    A ``motion`` is a table with its ``kind``: ``strokes``, ``cycle``, ``sine`` or ``torque_ramp``.
-    A start angle that is not given is drawn. ``truth_file`` names a file for what was simulated.
+    The ``kind`` of a ``motion`` is ``strokes``, ``cycle``, ``sine`` or ``torque_ramp``. A start
+    angle that is not given is drawn. ``truth_file`` names a file for the true values.
     """
 
     name: Name
@@ -153,8 +147,8 @@ class SimulatedRecording(Section):
 class SimulateRun(Section):
     """Without ``output``, a simulation writes its files beside the configuration."""
 
-    seed: int = Field(default=1, ge=0, lt=2**63)
-    workers: int = Field(default=1, ge=1, le=1024)
+    seed: Seed = 1
+    workers: Workers = 1
     output: OutputPath | None = None
 
 
@@ -166,17 +160,11 @@ class SimulateFile(Section):
     run: SimulateRun = SimulateRun()
     bench: BenchSource
     truth_file: str | None = Field(default=None, min_length=1)
-    recordings: Annotated[Items[SimulatedRecording], Field(min_length=1)]
-
-    @field_validator("recordings")
-    @classmethod
-    def _different_files(
-        cls, recordings: tuple[SimulatedRecording, ...]
-    ) -> tuple[SimulatedRecording, ...]:
-        for kind in ("name", "file"):
-            values = [getattr(recording, kind) for recording in recordings]
-            require_different(values, f"Two recordings have the same {kind}.")
-        return recordings
+    recordings: Annotated[
+        Items[SimulatedRecording],
+        Field(min_length=1),
+        AfterValidator(differing_in("name", "file")),
+    ]
 
 
 _PLACES = {"{joint}", "{date}"}
@@ -193,7 +181,7 @@ def _source_of_recordings(value: object, info: ValidationInfo) -> str:
         return str(resolve(value, info))
     if places or "*" in value:
         refuse(
-            "This pattern does not say which joint and which date a file is of.",
+            "This pattern does not contain the joint and the date of a file.",
             expected='{joint} and {date} once each, as in "data/{joint}/{date}.csv", or a table '
             "with the columns joint, date and file",
         )
@@ -210,12 +198,12 @@ def _table(value: object, info: ValidationInfo) -> object:
 
 
 class FleetSection(Section):
-    """``[fleet]``: inventory, recordings, and how joints share information.
+    """``[fleet]``: inventory and recordings.
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
-    ``joint``, ``date`` and ``file``. ``pool_by`` is a column of the inventory: joints with the same
-    entry share information. Without it every joint counts by itself. ``covariates`` are columns of
-    numbers, such as a load, on which the rates of joints of one type may depend.
+    ``joint``, ``date`` and ``file``. Joints with the same entry in ``pool_by``, a column of the
+    inventory, share information. ``covariates`` are columns of numbers, such as a load, that may
+    affect the rates.
     """
 
     joints: Annotated[InputPath, BeforeValidator(_table)]
@@ -227,7 +215,7 @@ class FleetSection(Section):
     def require_sound(self) -> None:
         if self.covariates and self.pool_by is None:
             refuse(
-                "What rates depend on is learned from joints of one type.",
+                "Covariates are learned from joints of one type.",
                 found="covariates without pool_by",
                 expected='pool_by as well, e.g. "gearbox"',
                 at=("covariates",),
@@ -243,7 +231,7 @@ class FleetSection(Section):
 class FleetEstimator(Section):
     """``[estimator]`` of a fleet: as in a comparison, but the inventory states bench and curve.
 
-    ``route`` applies to joints with a bench; the others are measured by the amplitude route.
+    ``route`` applies to joints with a bench; others use the amplitude route.
     """
 
     route: Literal["auto", "amplitude", "direct"] = "auto"
@@ -313,34 +301,33 @@ def word_or_names(
     return BeforeValidator(read)
 
 
+def _in_newton_metres(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if not name.endswith("_nm"):
+            refuse(
+                "A known torque is given in N m at the motor.",
+                found=f'"{name}"',
+                expected="a name ending in _nm; map the column to one under [columns]",
+            )
+    return names
+
+
 class Compared(Section):
     """``[comparison]``: how simulation and recordings are compared.
 
-    Without ``channels``, the method uses all that the recordings have. ``known_torque`` names
-    columns (N m at the motor) that are added to the torque that the bench needs. ``cutoff_hz``
-    belongs to the zero-phase filter that both sides of the inverse method pass; the default is the
-    frequency at which prediction and measurement lose coherence. ``load_angle_known`` and
-    ``motor_angle_known`` say that the recorded position is absolute.
+    Without ``channels``, all recorded ones are compared. ``known_torque`` names columns (N m at the
+    motor) that are added to the torque that the bench needs. ``cutoff_hz`` is for the zero-phase
+    filter of both sides of the inverse method; by default, it is the frequency at which prediction
+    and measurement lose coherence. ``load_angle_known`` and ``motor_angle_known`` say that the
+    recorded position is absolute.
     """
 
     method: Method = "forward"
     channels: Items[ChannelName] = ()
-    known_torque: Items[str] = ()
+    known_torque: Annotated[Items[str], AfterValidator(_in_newton_metres)] = ()
     load_angle_known: bool = False
     motor_angle_known: bool = False
     cutoff_hz: Positive | None = None
-
-    @field_validator("known_torque")
-    @classmethod
-    def _in_newton_metres(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if not name.endswith("_nm"):
-                refuse(
-                    "A known torque is given in N m at the motor.",
-                    found=f'"{name}"',
-                    expected="a name ending in _nm; map the column to one under [columns]",
-                )
-        return names
 
 
 class Unknowns(Section):
@@ -363,7 +350,7 @@ class Candidates(Section):
     """``[candidates]``: effects that may be named, and how many.
 
     The default of ``max_effects`` is three in the closed loop, where each costs many simulations,
-    else six. ``false_alarm``: how often noise passes for a line in the speed of a rigid drive.
+    else six. ``false_alarm``: how often noise counts as a line in the speed of a rigid drive.
     """
 
     effects: Annotated[
@@ -380,7 +367,7 @@ class DiagnoseConfig(RecordedConfig):
     bench: BenchSource
     comparison: Compared = Field(default_factory=Compared)
     unknowns: Unknowns = Field(default_factory=Unknowns)
-    recordings: Annotated[Items[DiagnosedRecording], AfterValidator(differently_named)]
+    recordings: Annotated[Items[DiagnosedRecording], AfterValidator(differing_in("name"))]
     candidates: Candidates = Field(default_factory=Candidates)
     interval: Interval = Field(default_factory=Interval)
 
@@ -458,13 +445,11 @@ class Limits(Section):
     """``[limits]``: load angles; speed and acceleration of the motor; rests between strokes; length
     of the recording."""
 
-    range_rad: Items[float] = (-0.5, 0.5)
+    range_rad: AngleRange = (-0.5, 0.5)
     speed_rpm: Positive = 1500.0
     acceleration_rpm_per_s: Positive = 6000.0
     dwell_s: float = Field(default=0.15, ge=0.0)
     duration_s: float = Field(default=20.0, ge=1.0, le=600.0)
-
-    _range = field_validator("range_rad")(two_angles)
 
 
 class PlanConfig(RunConfig):
@@ -533,8 +518,8 @@ class Identify(Section):
     """``[identify]``: what is fitted besides gap and start angles.
 
     ``parameters``: all that have a tolerance in the bench, or some of these by name. ``effects``:
-    effects to fit, by name; with ``"catalogue"``, those that the recordings show are added if the
-    bench cannot explain them. ``gap_rad``: range of the gap's log-uniform prior.
+    effects to fit, by name; ``"catalogue"`` adds those that the recordings show if the bench cannot
+    explain them. ``gap_rad``: range of the gap's log-uniform prior.
     """
 
     parameters: _Parameters = "toleranced"
@@ -548,7 +533,7 @@ class IdentifyConfig(RecordedConfig):
     kind: Literal["identify"]
     bench: InputPath
     identify: Identify = Field(default_factory=Identify)
-    recordings: Annotated[Items[IdentifiedRecording], AfterValidator(differently_named)]
+    recordings: Annotated[Items[IdentifiedRecording], AfterValidator(differing_in("name"))]
     interval: Interval = Field(default_factory=Interval)
 
     def require_sound(self) -> None:
@@ -560,34 +545,30 @@ class IdentifyConfig(RecordedConfig):
             )
 
 
-KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
-    {
-        "fit": FitConfig,
-        "compare": CompareConfig,
-        "sweep": SweepConfig,
-        "plan": PlanConfig,
-        "diagnose": DiagnoseConfig,
-        "identify": IdentifyConfig,
-        "study": StudyConfig,
-        "fleet": FleetConfig,
-    }
-)
+KINDS: Mapping[str, type[RunConfig]] = {
+    "fit": FitConfig,
+    "compare": CompareConfig,
+    "sweep": SweepConfig,
+    "plan": PlanConfig,
+    "diagnose": DiagnoseConfig,
+    "identify": IdentifyConfig,
+    "study": StudyConfig,
+    "fleet": FleetConfig,
+}
 """Configuration model by kind."""
 
-FILES: Mapping[str, str] = MappingProxyType(
-    {
-        "fit": "one recording to measure",
-        "compare": "recordings to measure and compare",
-        "simulate": "recordings to make on a bench",
-        "sweep": "a bench to sweep over its gap",
-        "plan": "a bench whose motions are ranked",
-        "diagnose": "recordings, and the bench that should describe them",
-        "identify": "recordings, and the data sheet from which a bench is identified",
-        "study": "an experiment and its rows",
-        "fleet": "an inventory of joints, and where their recordings are",
-        "bench": "a virtual bench",
-    }
-)
+FILES: Mapping[str, str] = {
+    "fit": "one recording to measure",
+    "compare": "recordings to measure and compare",
+    "simulate": "recordings to make on a bench",
+    "sweep": "a bench to sweep over its gap",
+    "plan": "a bench whose motions are ranked",
+    "diagnose": "recordings, and the bench that should describe them",
+    "identify": "recordings, and the data sheet from which a bench is identified",
+    "study": "an experiment and its rows",
+    "fleet": "an inventory of joints, and where their recordings are",
+    "bench": "a virtual bench",
+}
 """What a file of each kind holds, in words."""
 
 RUNNABLE = tuple(kind for kind in FILES if kind != "bench")  # those that ``bayesbl run`` accepts

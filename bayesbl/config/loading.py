@@ -356,41 +356,36 @@ def _is_deep(tables: Mapping[str, Any]) -> bool:
     return bool(level)
 
 
-OPTIONS: Mapping[str, Location] = MappingProxyType(
-    {
-        "curve": ("curve", "source"),
-        "bench": ("estimator", "bench"),
-        "effects": ("identify", "effects"),
-        "route": ("estimator", "route"),
-        "level": ("interval", "level"),
-        "limit": ("joint", "limit"),
-        "limit_rad": ("joint", "limit_rad"),
-        "before": ("joint", "decide_before"),
-        "gear_ratio": ("joint", "gear_ratio"),
-        "upright": ("joint", "upright"),
-        "start_from": ("estimator", "search", "start_from"),
-        "check_sampler": ("posterior", "check_sampler"),
-        "seed": ("run", "seed"),
-        "workers": ("run", "workers"),
-        "scheduler": ("run", "scheduler"),
-        "out": ("run", "output"),
-        "range_rad": ("limits", "range_rad"),
-        "speed_rpm": ("limits", "speed_rpm"),
-        "acceleration_rpm_per_s": ("limits", "acceleration_rpm_per_s"),
-        "duration_s": ("limits", "duration_s"),
-        "gap_rad": ("gap_rad",),
-    }
-)
+OPTIONS: Mapping[str, Location] = {
+    "curve": ("curve", "source"),
+    "bench": ("estimator", "bench"),
+    "effects": ("identify", "effects"),
+    "route": ("estimator", "route"),
+    "level": ("interval", "level"),
+    "limit": ("joint", "limit"),
+    "limit_rad": ("joint", "limit_rad"),
+    "before": ("joint", "decide_before"),
+    "gear_ratio": ("joint", "gear_ratio"),
+    "upright": ("joint", "upright"),
+    "start_from": ("estimator", "search", "start_from"),
+    "check_sampler": ("posterior", "check_sampler"),
+    "seed": ("run", "seed"),
+    "workers": ("run", "workers"),
+    "scheduler": ("run", "scheduler"),
+    "out": ("run", "output"),
+    "range_rad": ("limits", "range_rad"),
+    "speed_rpm": ("limits", "speed_rpm"),
+    "acceleration_rpm_per_s": ("limits", "acceleration_rpm_per_s"),
+    "duration_s": ("limits", "duration_s"),
+    "gap_rad": ("gap_rad",),
+}
 """The field that each command-line option sets."""
 
 _PATH_OPTIONS = frozenset({"curve", "bench", "start_from", "out"})
 
 _LIMITS = ("limit", "limit_rad")
 
-_OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
-    {kind: {"bench": ("bench",)} for kind in ("identify", "plan", "diagnose")}
-)
-"""Options that set another field in some kinds."""
+_OF_OWN_BENCH = ("identify", "plan", "diagnose")  # kinds whose bench is no estimator's
 
 _COMMON_SECTIONS = ("schema", "run", "columns", "interval")
 """Sections that identification and diagnosis take from the configuration of a measurement."""
@@ -439,7 +434,11 @@ def config_from_options(
     options name the option.
     """
     document = _Document({}, Path.cwd()) if config is None else _read(Path(config))
-    document.of_kind(_sharing(kind))
+    # Kinds of files that a run of this kind can start from, because they share the sections.
+    sharing = measured = [k for k, model in KINDS.items() if issubclass(model, SnapshotConfig)]
+    if kind not in measured:
+        sharing = [kind, *(measured if kind in _OF_A_BENCH else ())]
+    document.of_kind(sharing)
     tables = {"schema": 1, **document.tables, "kind": kind}
     if kind in _OF_A_BENCH and document.kind not in ("", kind):
         tables = {name: tables[name] for name in _COMMON_SECTIONS if name in tables}
@@ -468,19 +467,12 @@ def config_from_options(
         if value is not None:
             path_like = option in _PATH_OPTIONS and str(value) != PUBLISHED
             plain = str(Path(str(value)).absolute()) if path_like else value
-            location = _OF_KIND.get(kind, OPTIONS).get(option, OPTIONS[option])
+            own = option == "bench" and kind in _OF_OWN_BENCH
+            location = ("bench",) if own else OPTIONS[option]
             _set(tables, location, plain)
             origins[location] = "--" + option.replace("_", "-")
     _set_default_output(tables, _default_output(kind, recordings, config))
     return replace(document, tables=tables, origins=origins).run_config()
-
-
-def _sharing(kind: str) -> list[str]:
-    """Kinds whose files a run of this kind can start from, because they share the sections."""
-    measured = [other for other, model in KINDS.items() if issubclass(model, SnapshotConfig)]
-    if kind in _OF_A_BENCH:
-        return [kind, *measured]
-    return measured if kind in measured else [kind]
 
 
 def require_text_names(paths: Iterable[Path]) -> None:
@@ -508,6 +500,14 @@ def files_of(value: Any) -> list[Path]:
     # A study's rows hold full paths where text names a file.
     text = isinstance(value, str) and os.path.isabs(value) and os.path.isfile(value)
     return [Path(value)] if text or isinstance(value, Path) else []
+
+
+def kind_of(path: str | Path) -> str:
+    """The kind that a file states; empty if it cannot be read, which loading then reports."""
+    try:
+        return _read(Path(path)).kind
+    except ConfigError:
+        return ""
 
 
 def _read(path: Path) -> _Document:

@@ -22,7 +22,7 @@ from bayesbl.config.sections import (
     ResultFile,
     Section,
     SnapshotRecording,
-    differently_named,
+    differing_in,
     refuse,
 )
 from bayesbl.errors import ConfigError
@@ -80,10 +80,14 @@ class Limit(Section):
     def require_sound(self) -> None:
         if (self.unit == "mm") != (self.at_m is not None):
             actual = "no radius" if self.at_m is None else f"a radius with {self.unit}"
-            refuse("A limit in mm, and no other, has a radius.", found=actual, expected=EXAMPLES)
+            refuse("Limits in mm, and only these, have a radius.", found=actual, expected=EXAMPLES)
         if (self.of == "lost_motion") != (self.at_torque_share is not None):
             actual = "no torque" if self.at_torque_share is None else f"a torque with {self.of}"
-            refuse("Lost motion, and nothing else, has a torque.", found=actual, expected=EXAMPLES)
+            refuse(
+                "Limits of lost motion, and only these, have a torque.",
+                found=actual,
+                expected=EXAMPLES,
+            )
 
     def __str__(self) -> str:
         radius = "" if self.at_m is None else f" at {self.at_m!r} m"
@@ -156,7 +160,7 @@ def _a_gap(limit_rad: float) -> float:
 def _of_a_gap(limit: Limit) -> Limit:
     if (largest := limit.delta_rad()) > LARGEST_LIMIT_RAD:
         refuse(
-            "This limit is beyond every gap that is measured here.",
+            "This limit is larger than any gap that bayesbl measures.",
             found=f"{limit}, {1e3 * largest:.4g} mrad of δ",
             expected=f"at most {1e3 * LARGEST_LIMIT_RAD:g} mrad",
         )
@@ -168,14 +172,13 @@ StatedLimit = Annotated[Limit, AfterValidator(_of_a_gap)]
 
 
 class Joint(Section):
-    """``[joint]``: what you know about the joint itself.
+    """``[joint]``: what you know about the joint.
 
-    ``drift``: a relative standard deviation for each bench parameter or effect that may drift
-    between the first snapshot and each later one. It replaces the default; 0 means no drift. The
-    interval of the change includes it. ``rated_torque_nm`` is at the output: lost motion is stated
-    at 3 % of it. ``limit_rad`` is a limit of δ in rad; ``limit`` is one of δ, play or lost motion
-    in the unit of a data sheet. ``upright``: gravity does not turn the joint, because its axis is
-    vertical or its load is balanced.
+    ``drift``: the relative standard deviation by which each bench parameter or effect may drift
+    from the first snapshot to each later one, instead of the default; 0 means no drift. Lost motion
+    is stated at 3 % of ``rated_torque_nm``, at the output. ``limit_rad`` is a limit of δ in rad;
+    ``limit`` is one of δ, play or lost motion in the unit of a data sheet. ``upright``: gravity
+    does not turn the joint, because its axis is vertical or its load is balanced.
     """
 
     gear_ratio: Positive | None = None
@@ -207,7 +210,7 @@ class Search(Section):
     """``[estimator.search]``: how the optimum is found.
 
     ``start_from`` is an earlier result whose optimum starts the search. ``paper`` also searches
-    eq. 6 in the ranges of Table 2, exactly as printed.
+    eq. 6 in the ranges of Table 2, as printed.
     """
 
     method: Literal["guess", "paper"] = "guess"
@@ -291,7 +294,7 @@ class Curve(Section):
     """``[curve]``: the gap curve. ``source`` is the result of a sweep, or ``"published"``.
 
     Without a source, the curve is swept from the estimator's bench; without a bench there is no δ.
-    A source takes precedence over the bench; the direct route ignores it.
+    The direct route ignores a source.
     """
 
     source: CurveSource | None = None
@@ -319,11 +322,11 @@ class MeasuredRecording(SnapshotRecording):
 
 
 class WearOverDates(Section):
-    """``[wear]``: what you know about wear apart from the recordings.
+    """``[wear]``: what you know about wear.
 
-    ``relative_sd_per_date``: how far temperature, grease or the torque constant may move the
-    measured gap of each date, as a relative standard deviation. ``in_service_since``: when the
-    joint, or the part that its last repair replaced, went into service.
+    ``relative_sd_per_date``: relative standard deviation by which temperature, grease or the torque
+    constant may move the measured gap from date to date. ``in_service_since``: when the joint, or
+    the part that its last repair replaced, went into service.
     """
 
     relative_sd_per_date: float = Field(default=0.0, ge=0.0, le=0.5)
@@ -351,11 +354,11 @@ class SnapshotConfig(RecordedConfig):
         count, least, most = len(recordings), cls.least_recordings, cls.most_recordings
         if count < least or (most is not None and count > most):
             refuse(
-                "This kind of run takes another number of recordings.",
+                "This kind of run needs a different number of recordings.",
                 found=f"{count} recording{'' if count == 1 else 's'}",
                 expected=f"exactly {least}" if least == most else f"at least {least}",
             )
-        return differently_named(recordings)
+        return differing_in("name")(recordings)
 
     def entry_of(self, recording: str) -> MeasuredRecording:
         """The entry with this name."""
@@ -427,7 +430,8 @@ class CompareConfig(SnapshotConfig):
     @property
     def dates(self) -> tuple[Date, ...] | None:
         """Date of each recording; ``None`` unless all are dated."""
-        return _dates(self.recordings)
+        dates = tuple(one.date for one in self.recordings if one.date is not None)
+        return dates if len(dates) == len(self.recordings) else None
 
     @field_validator("recordings")
     @classmethod
@@ -442,11 +446,7 @@ class CompareConfig(SnapshotConfig):
                 expected="date = 2026-03-01 in every [[recordings]], or in none",
                 at=(undated[0],),
             )
-        dates = _dates(recordings)
-        if dates is None:
-            return recordings
-        order = sorted(range(len(dates)), key=dates.__getitem__)
-        return tuple(recordings[number] for number in order)
+        return tuple(sorted(recordings, key=lambda one: one.date or Date.min))
 
     def require_sound(self) -> None:
         super().require_sound()
@@ -470,7 +470,7 @@ class CompareConfig(SnapshotConfig):
         first = dates[repairs[-1]] if repairs else dates[0]
         if start is not None and start > first:
             refuse(
-                "The joint cannot have begun to work after its first recording.",
+                "The joint cannot have gone into service after its first recording.",
                 found=f"in_service_since = {start}, first recording {first}",
                 expected="an earlier date, or none where it is not known",
                 at=("wear", "in_service_since"),
@@ -482,8 +482,3 @@ class CompareConfig(SnapshotConfig):
                 expected="a later date",
                 at=("joint", "decide_before"),
             )
-
-
-def _dates(recordings: tuple[MeasuredRecording, ...]) -> tuple[Date, ...] | None:
-    dates = [recording.date for recording in recordings]
-    return tuple(d for d in dates if d is not None) if None not in dates else None

@@ -12,8 +12,9 @@ import os
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import date as Date
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar
 
@@ -139,10 +140,6 @@ def known_name(name: str, known: Collection[str], what: str) -> str:
     return name
 
 
-def _symbol(name: str) -> str:
-    return known_name(name, SYMBOLS, "symbol of the disturbance model")
-
-
 def _channel(name: str) -> str:
     if not is_mappable(name):
         refuse(
@@ -180,11 +177,6 @@ def name_of(stem: str) -> str:
     return (allowed if re.match(r"\w", allowed) else f"r{allowed}")[:LONGEST_NAME]
 
 
-def column_entry(value: object) -> object:
-    """Expand ``"Speed"`` to ``{name = "Speed"}``."""
-    return {"name": value} if isinstance(value, str) else value
-
-
 OutputPath = Annotated[Path, BeforeValidator(_output_path)]
 InputPath = Annotated[Path, BeforeValidator(_input_path)]
 CurveSource = Annotated[Path | str, BeforeValidator(_curve_source)]
@@ -198,7 +190,10 @@ GapBounds = Annotated[
     Strict(False),
     AfterValidator(_increasing),
 ]
-SymbolName = Annotated[str, AfterValidator(_symbol)]
+SymbolName = Annotated[
+    str,
+    AfterValidator(partial(known_name, known=SYMBOLS, what="symbol of the disturbance model")),
+]
 ChannelName = Annotated[str, AfterValidator(_channel)]
 Name = Annotated[str, AfterValidator(_name)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -237,11 +232,15 @@ class Section(BaseModel):
 _POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATION, ROTATION})
 
 
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+Workers = Annotated[int, Field(ge=1, le=1024)]
+
+
 class Run(Section):
     """``[run]``: seed, number of processes and output folder."""
 
-    seed: int = Field(default=1, ge=0, lt=2**63)
-    workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=1024)
+    seed: Seed = 1
+    workers: Workers = Field(default_factory=lambda: os.cpu_count() or 1)
     output: OutputPath
 
 
@@ -275,8 +274,10 @@ class Column(Section):
     unit: Annotated[str, AfterValidator(spelled)] | None = None
     reversed: bool = False
 
-
-ColumnEntry = Annotated[Column, BeforeValidator(column_entry)]
+    @model_validator(mode="before")
+    @classmethod
+    def _of_name(cls, column: Any) -> Any:
+        return {"name": column} if isinstance(column, str) else column
 
 
 def _file_or_files(schema: dict[str, Any]) -> None:
@@ -327,20 +328,22 @@ class SnapshotRecording(Section):
         return self.files or (self.file,)
 
 
-R = TypeVar("R", bound=SnapshotRecording)
+def differing_in(*keys: str) -> Callable[[tuple[T, ...]], tuple[T, ...]]:
+    """A validator that refuses two recordings with the same text under one of these keys."""
 
+    def require(recordings: tuple[T, ...]) -> tuple[T, ...]:
+        for key in keys:
+            texts = [getattr(recording, key) for recording in recordings]
+            require_different(texts, f"Two recordings have the same {key}.")
+        return recordings
 
-def differently_named(recordings: tuple[R, ...]) -> tuple[R, ...]:
-    """Refuse recordings with the same name."""
-    names = [recording.name for recording in recordings]
-    require_different(names, "Two recordings have the same name.")
-    return recordings
+    return require
 
 
 class RecordedConfig(RunConfig):
     """A run over recordings whose columns may have other names and units."""
 
-    columns: dict[ChannelName, ColumnEntry] = Field(default_factory=dict)
+    columns: dict[ChannelName, Column] = Field(default_factory=dict)
 
     @property
     def column_specs(self) -> dict[str, ColumnSpec]:
@@ -415,7 +418,7 @@ class Interval(Section):
     kind: Literal["equal_tailed", "hdi"] = "equal_tailed"
 
 
-def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
+def _two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
     """Validate a range of load angles."""
     if len(angles) != 2 or not angles[1] - angles[0] >= SHORTEST_WAY_RAD:
         refuse(
@@ -427,3 +430,4 @@ def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
 
 
 SHORTEST_WAY_RAD = 1e-3  # shortest motion of the load
+AngleRange = Annotated[Items[float], AfterValidator(_two_angles)]

@@ -84,8 +84,7 @@ CORRELATION_LAGS = 200
 class DisagreementSummary(TypedDict):
     """RMS of measurement minus simulation, in ``unit``; the unit ``noise`` is the noise floor.
 
-    ``before`` is without the named effects, ``after`` with them; declared unknowns are fitted in
-    both.
+    The ``[unknowns]`` are fitted ``before`` and ``after`` naming.
     ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null if noise may cause all of
     the disagreement before.
     """
@@ -101,8 +100,7 @@ class DisagreementSummary(TypedDict):
 class DisagreementTableSummary(TypedDict):
     """Disagreements by recording, channel and use; ``over_all`` by use alone.
 
-    ``unit`` is that of all. If units differ, it is null, and ``over_all`` is in units of each noise
-    floor.
+    If units differ, ``unit`` is null, and ``over_all`` is in units of each noise floor.
     """
 
     unit: str | None

@@ -29,8 +29,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
 from bayesbl.measurement.shared_groups import CHAIN, DRAW
 from bayesbl.results.folder import AUGMENTED_BENCH
-from bayesbl.results.intervals import Interval, IntervalKind, interval
-from bayesbl.results.store import Head
+from bayesbl.results.store import Head, Interval, IntervalKind, interval
 from bayesbl.results.variables import Group, Variable, columns, dataset, padded, table
 from bayesbl.sentences import flaws_in_words
 from bayesbl.units import unit_of
@@ -93,7 +92,7 @@ class LearnedDependence(TypedDict):
 class LearnedSummary(LearnedDependence):
     """A torque without a known law, or an error of the encoder.
 
-    ``amplitude_nm``, ``amplitude_rad``: largest value at its side. ``alike``: other dependences
+    ``amplitude_nm``, ``amplitude_rad``: largest value, at its side. ``alike``: other dependences
     that these recordings do not distinguish from it.
     """
 

@@ -1,10 +1,16 @@
-"""A message broker (MQTT 5): its address, our credentials, its refusals; a sender of answers."""
+"""A message broker (MQTT 5): its address, our credentials, its refusals; a sender of answers.
+
+A message from a device to ``collect`` is a row of ``recordings.parquet`` as JSON. Messages come
+from a network, so all that ``watch`` cannot have written is refused with a reason.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
+import re
 import ssl
 import stat
 import sys
@@ -14,18 +20,19 @@ import uuid
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import date as Date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 from urllib.parse import unquote, urlsplit
 
-from pydantic import Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError, create_model
 
 from bayesbl.config.loading import problems_of
-from bayesbl.config.sections import BASE_DIRECTORY, InputPath, Section
-from bayesbl.errors import BrokerError, ConfigError
-from bayesbl.fleet.message import encoded_answer
+from bayesbl.config.sections import BASE_DIRECTORY, LONGEST_NAME, InputPath, Section
+from bayesbl.errors import ConfigError, shortened
+from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 from bayesbl.recording.input_bytes import read_input
-from bayesbl.results.atomic import replacing
+from bayesbl.results.folder import replacing
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -166,9 +173,11 @@ def make_client(
     return client
 
 
-def session(**more: int) -> Any:
-    """Properties of a connection whose session the broker keeps."""
-    return _properties("CONNECT", SessionExpiryInterval=0xFFFFFFFF, **more)  # never
+def start(client: Client, address: Address, **more: int) -> None:
+    """Connect in paho's thread, for a session that the broker keeps."""
+    kept = _properties("CONNECT", SessionExpiryInterval=0xFFFFFFFF, **more)  # never
+    client.connect_async(address.host, address.port, clean_start=False, properties=kept)
+    client.loop_start()
 
 
 def _properties(packet: str, **values: int) -> Any:
@@ -188,13 +197,6 @@ def unreachable(address: Address, error: BaseException | None) -> str:
     else:
         reason = getattr(error, "strerror", None) or str(error)
     return f"{address.host}:{address.port} cannot be reached: {reason}."
-
-
-def refused(address: Address, reason: object) -> BrokerError:
-    """The error for a broker that refuses us."""
-    return BrokerError(
-        "The broker refuses.", where=address.in_words, found=str(reason), expected="to be let in"
-    )
 
 
 class OnlyOnce:
@@ -237,10 +239,7 @@ class Sender:
         self._reasons: dict[int, Any] = {}
         self._sent, self._since_s = self._kept()
         self._pause_s, self._again_s = FIRST_WAIT_S, 0.0
-        self._client.connect_async(
-            address.host, address.port, clean_start=False, properties=session()
-        )
-        self._client.loop_start()
+        start(self._client, address)
 
     def offer(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Add answers to send, and send what waits; call it repeatedly, even without answers.
@@ -324,3 +323,111 @@ class Sender:
 
     def _on_connect_fail(self, client: object, data: object) -> None:
         self._say(f"{unreachable(self._address, sys.exception())} Answers wait until it can.")
+
+
+SCHEMA = 2
+LARGEST_MESSAGE_BYTES = 1_000_000  # an answer takes about 1,200 bytes
+LONGEST_TEXT = 10_000
+
+LARGEST_RPM = 1e6
+
+OUTCOMES = ("converged", "usable", "withheld", "no_curve", "refused", "failed")
+
+_DEVICE = re.compile(r"[A-Za-z0-9._-]{1,100}")
+
+_GAP = (*(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")), *QUANTILE_COLUMNS)
+_AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no number")
+
+
+def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
+    """A row as a message, without missing or infinite values."""
+    given = {
+        name: value
+        for name, value in row.items()
+        if value is not None and not (isinstance(value, float) and not math.isfinite(value))
+    }
+    return json.dumps({"schema": SCHEMA, "device": device, "recording": given}).encode()
+
+
+def _column(name: str, kind: str) -> Any:
+    """Type of a column. Noise may give a negative amplitude; gaps are positive."""
+    if kind == "string":
+        return Annotated[str, Field(max_length=LONGEST_TEXT, pattern=r"^[^\x00]*$")]
+    if kind == "bool":
+        return bool
+    low, high = 0.0, 1.0 if name.startswith("probability") else math.pi
+    if name.startswith("amplitude"):
+        low, high = -LARGEST_RPM, LARGEST_RPM
+    return Annotated[float, Field(ge=low, le=high)]
+
+
+_Given = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT, pattern=r"^[^\x00]+$")]
+_JointName = Annotated[str, Field(pattern=rf"^\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}$")]
+_COLUMNS: dict[str, Any] = {
+    name: (_column(name, kind) | None, None)
+    for name, (kind, _) in RECORDING_COLUMNS.items()
+    if name != "device"
+}
+_COLUMNS |= {name: (_Given, ...) for name in ("date", "file")}
+_COLUMNS |= {"joint": (_JointName, ...), "outcome": (Literal[OUTCOMES], ...)}
+_COLUMNS |= {"sha256": (Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None, None)}
+
+
+_STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+_Row = create_model("_Row", __config__=_STRICT, **_COLUMNS)
+
+
+def decoded_answer(message: bytes) -> dict[str, Any]:
+    """The row in a message, with every column. The ValueError's reason may be printed."""
+    if len(message) > LARGEST_MESSAGE_BYTES:
+        raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
+    try:
+        content = json.loads(message, parse_constant=_no_number)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        raise ValueError("it is not JSON") from None
+    except ValueError as error:  # of a number with thousands of digits, also
+        raise ValueError(shortened(str(error), 100)) from None
+    if not isinstance(content, dict) or content.pop("schema", None) != SCHEMA:
+        raise ValueError(f"it is not a message of schema {SCHEMA}")
+    device = content.pop("device", None)
+    if not isinstance(device, str) or not _DEVICE.fullmatch(device):
+        raise ValueError("it does not say which device it is from")
+    if content.keys() != {"recording"}:
+        raise ValueError("it has other parts than schema, device and recording")
+    try:
+        recording = _Row.model_validate(content["recording"])
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(shortened(f"{where}: {first['msg']}", 200)) from None
+    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS) | dict(recording)
+    day = None
+    if row["outcome"] != "refused":  # which it may be just for its date
+        with suppress(ValueError):
+            day = Date.fromisoformat(row["date"]).isoformat()
+        if day != row["date"]:
+            raise ValueError("date: it is not written as 2026-03-01")
+        if row["sha256"] is None:
+            raise ValueError("sha256: there is none")
+    _require_gap(row)
+    return row | {"device": device}
+
+
+def _require_gap(row: Mapping[str, Any]) -> None:
+    """Require a whole gap or a reason, with bounds in order."""
+    if row["reason"] is None:
+        lacking = [name for name in _GAP if row[name] is None]
+        if lacking:
+            raise ValueError(f"there is no {lacking[0]}, and no reason")
+        if row["outcome"] not in ("converged", "usable"):
+            raise ValueError("there is a gap, but its outcome says that there is none")
+    elif any(row[name] is not None for name in (*_GAP, "probability_above_limit")):
+        raise ValueError("there is a gap beside the reason why there is none")
+    for names in (("delta_rad_low", "delta_rad_high"), QUANTILE_COLUMNS, _AMPLITUDE):
+        given = [row[name] for name in names if row[name] is not None]
+        if given != sorted(given) or len(given) not in (0, len(names)):
+            raise ValueError(f"{names[0]} to {names[-1]} are not in order, or not complete")

@@ -73,7 +73,12 @@ class Joint(_Row):
     def _goes_together(self) -> Self:
         if self.bench is not None and self.curve is not None:
             both = "bench and curve"
-            refuse("A joint has one of them.", found=both, expected="either", at=("curve",))
+            refuse(
+                "A joint has either a bench or a curve.",
+                found=both,
+                expected="either",
+                at=("curve",),
+            )
         if self.limit is not None and self.stated_limit_rad is not None:
             both = "limit and limit_rad"
             refuse("There are two limits.", found=both, expected="one limit", at=("limit",))
@@ -234,17 +239,13 @@ def digest_of_file(file: str) -> tuple[str | None, str | None]:
 
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
-    parts = re.split(r"(\{joint\}|\{date\})", pattern)
-    anything = "".join("*" if part.startswith("{") else escape(part) for part in parts)
-    groups: set[str] = set()
-    exact = ""
-    for part in parts:
-        name = part[1:-1] if part in ("{joint}", "{date}") else ""
-        again = f"(?P={name})" if name in groups else f"(?P<{name}>[^/]+)"
-        exact += again if name else re.escape(part)
-        groups.add(name)
+    parts = re.split(r"\{joint\}|\{date\}", pattern)
+    exact = re.escape(pattern)
+    for name in ("joint", "date"):
+        place = re.escape(f"{{{name}}}")
+        exact = exact.replace(place, f"(?P<{name}>[^/]+)", 1).replace(place, f"(?P={name})")
     fixed = parts[0].rpartition("/")[0]
-    for path in glob(anything):
+    for path in glob("*".join(map(escape, parts))):
         match = re.fullmatch(exact, path)
         if match and os.path.isfile(path):
             yield _within(fixed, _dated(match["joint"], match["date"], path))

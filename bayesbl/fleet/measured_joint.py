@@ -91,23 +91,21 @@ class JointAnswer:
 class JointJob:
     """A joint with its recordings in order of time; it can be sent to another process.
 
-    ``of_bench``, ``of_curve``: SHA-256 of the files that the joint names. ``known``: answers of an
-    earlier run, by number of the recording.
+    ``named``: SHA-256 of the files that the joint names, its bench or its curve. ``known``: answers
+    of an earlier run, by number of the recording.
     """
 
     fleet: FleetConfig
     joint: Joint
     recordings: tuple[Found, ...]
-    of_bench: str | None
-    of_curve: str | None
+    named: Mapping[str, str]
     known: Mapping[int, RecordingAnswer] = field(default_factory=dict)
 
     @classmethod
     def of(cls, fleet: FleetConfig, joint: Joint, recordings: Sequence[Found]) -> JointJob:
         """The job of a joint from its recordings with their digests."""
-        named = (joint.bench, None if joint.curve == PUBLISHED else joint.curve)
-        bench, curve = (None if file is None else file_sha256(file) for file in named)
-        return cls(fleet, joint, tuple(recordings), bench, curve)
+        files = [str(file) for file in (joint.bench, joint.curve) if file not in (None, PUBLISHED)]
+        return cls(fleet, joint, tuple(recordings), {file: file_sha256(file) for file in files})
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -119,17 +117,6 @@ class JointJob:
     def in_words(self) -> str:
         """Name of the joint."""
         return f"joint {self.joint.name}"
-
-    @property
-    def files(self) -> list[str]:
-        """Files of the joint besides its recordings."""
-        named = (self.joint.bench, None if self.of_curve is None else self.joint.curve)
-        return [str(file) for file in named if file is not None]
-
-    @property
-    def sha256(self) -> tuple[str, ...]:
-        """SHA-256 of the recordings' files."""
-        return tuple(str(one.sha256) for one in self.recordings)
 
     @property
     def names(self) -> list[str]:
@@ -155,7 +142,7 @@ class JointJob:
         """All that determines the answer for one recording."""
         return {
             **self._of_all(),
-            "recording": (self.names[number], self.sha256[number]),
+            "recording": (self.names[number], self.recordings[number].sha256),
             "reference_speed_rpm": self.recordings[number].reference_speed_rpm,
         }
 
@@ -194,7 +181,8 @@ class JointJob:
 
     def seeds(self, numbers: Sequence[int]) -> Seeds:
         """A seed for each recording by its content, so that no recording affects another."""
-        seed, contents = self.fleet.run.seed, [int(self.sha256[n][:16], 16) for n in numbers]
+        seed, digests = self.fleet.run.seed, [str(self.recordings[n].sha256) for n in numbers]
+        contents = [int(digest[:16], 16) for digest in digests]
         own = tuple(np.random.SeedSequence([seed, content]) for content in contents)
         return replace(Seeds.spawn(seed, 0), recordings=own)
 
@@ -204,20 +192,21 @@ class JointJob:
         return {
             "joint": joint.name,
             "gear_ratio": joint.gear_ratio,
-            "bench": self.of_bench,
-            "curve": self.of_curve or joint.curve,
+            "bench": self.named.get(str(joint.bench)),
+            "curve": self.named.get(str(joint.curve), joint.curve),
             "settings": settings,
             "seed": self.fleet.run.seed,
         }
 
     def _entry(self, number: int, repaired: bool) -> dict[str, Any]:
         one = self.recordings[number]
-        entry = {"name": self.names[number], "file": one.file, "date": Date.fromisoformat(one.date)}
-        if repaired:
-            entry["repaired"] = True
-        if one.reference_speed_rpm is not None:
-            entry["reference_speed_rpm"] = one.reference_speed_rpm
-        return entry
+        return {
+            "name": self.names[number],
+            "file": one.file,
+            "date": Date.fromisoformat(one.date),
+            "repaired": repaired,
+            "reference_speed_rpm": one.reference_speed_rpm,
+        }
 
 
 DRAWS = 2000  # of gaps and rate: a 90 % interval has 90 ± 0.7 % (√(p (1 − p)/n))
@@ -265,14 +254,12 @@ def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
 def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
     """States of the files of recordings, bench and curve; empty if any has another content."""
     files = [(job.recordings[number].file, job.recordings[number].sha256) for number in numbers]
-    named = ((job.joint.bench, job.of_bench), (job.joint.curve, job.of_curve))
     states = []
-    for file, sha256 in (*files, *named):
-        if file is not None and sha256 is not None:
-            state = file_state(str(file))
-            if state is None or digest_of_file(str(file))[0] != sha256:
-                return []
-            states.append(state)
+    for file, sha256 in (*files, *job.named.items()):
+        state = file_state(file)
+        if state is None or digest_of_file(file)[0] != sha256:
+            return []
+        states.append(state)
     return states
 
 
@@ -373,12 +360,8 @@ def _by_curve(job: JointJob, used: Sequence[int]) -> JointAnswer:
     tree = _measured(job, job.config("compare", used, "amplitude"), used)
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
-    wear_summary = with_sentences(summary_of(tree))["wear"]
-    reason = (
-        None
-        if wear_summary is None or wear_summary["reason"] is None
-        else wear_summary["reason"]["text"]
-    )
+    told = with_sentences(summary_of(tree))["wear"] or {"reason": None}
+    reason = told["reason"] and told["reason"]["text"]
     return _of_group(wear, reason, "amplitude", used, gaps.reshape(len(used), -1))
 
 

@@ -3,6 +3,10 @@
 Draws are in a Zarr store, a group for each joint. It is Zarr's format 2 without compression: a
 folder of JSON and little-endian numbers, which needs no library to write.
 ``xarray.open_zarr(store, group="R1-J2")`` reads one joint.
+
+On a measuring device, and where answers are collected, ``recordings.parquet`` grows row by row and
+survives a power cut at any moment. Its key is device, joint and SHA-256 of the recording. The same
+answer twice is one row, and a usable answer replaces an unusable one, in whatever order they come.
 """
 
 from __future__ import annotations
@@ -10,7 +14,8 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
@@ -20,60 +25,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, ResultError
 from bayesbl.fleet.inventory import Joint
-from bayesbl.fleet.measured_joint import JointAnswer, RecordingAnswer
+from bayesbl.fleet.measured_joint import FAILED, REFUSED, JointAnswer, RecordingAnswer
 from bayesbl.fleet.pooled_rates import Borrowed, TypeRates, alarms, pooled
 from bayesbl.measurement.wear import WearDraws
-from bayesbl.results.intervals import interval
+from bayesbl.results.folder import is_finished, locked_sibling, replacing, require_no_link
+from bayesbl.results.store import interval
 from bayesbl.results.variables import table
 
 GROUP, ARRAY, ATTRIBUTES = ".zgroup", ".zarray", ".zattrs"
 
 
-class DrawsStore:
-    """A new store in a folder that must not exist."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._group(folder, {})
-
-    def put(
-        self,
-        name: str,
-        arrays: Mapping[str, tuple[Sequence[str], NDArray[np.generic]]],
-        attributes: Mapping[str, object],
-    ) -> None:
-        """Write a group; each array comes after the names of its dimensions."""
-        folder = self._folder / name
-        self._group(folder, attributes)
-        for key, (dims, values) in arrays.items():
-            _write(folder / key, values, {"_ARRAY_DIMENSIONS": list(dims)})
-
-    def _group(self, folder: Path, attributes: Mapping[str, object]) -> None:
-        folder.mkdir(parents=True)
-        (folder / GROUP).write_text('{"zarr_format": 2}')
-        (folder / ATTRIBUTES).write_text(json.dumps(dict(attributes), ensure_ascii=False))
-
-
-def _write(folder: Path, values: NDArray[np.generic], attributes: Mapping[str, object]) -> None:
-    folder.mkdir()
-    dtype = values.dtype.newbyteorder("<")
-    plain = np.ascontiguousarray(values, dtype=dtype)
-    head = {
-        "zarr_format": 2,
-        "shape": list(plain.shape),
-        "chunks": [max(1, size) for size in plain.shape],
-        "dtype": dtype.str,
-        "compressor": None,
-        "fill_value": None,
-        "order": "C",
-        "filters": None,
-    }
-    (folder / ARRAY).write_text(json.dumps(head))
-    (folder / ATTRIBUTES).write_text(json.dumps(attributes))
-    if plain.size:
-        (folder / ".".join(["0"] * plain.ndim)).write_bytes(plain.tobytes())
+def write_draws(
+    folder: Path,
+    arrays: Mapping[str, tuple[Sequence[str], NDArray[np.generic]]],
+    attributes: Mapping[str, object],
+) -> None:
+    """Write a group into a new folder; each array comes after the names of its dimensions."""
+    folder.mkdir(parents=True)
+    (folder / GROUP).write_text('{"zarr_format": 2}')
+    (folder / ATTRIBUTES).write_text(json.dumps(dict(attributes), ensure_ascii=False))
+    for key, (dims, values) in arrays.items():
+        place, dtype = folder / key, values.dtype.newbyteorder("<")
+        place.mkdir()
+        plain = np.ascontiguousarray(values, dtype=dtype)
+        head = {
+            "zarr_format": 2,
+            "shape": list(plain.shape),
+            "chunks": [max(1, size) for size in plain.shape],
+            "dtype": dtype.str,
+            "compressor": None,
+            "fill_value": None,
+            "order": "C",
+            "filters": None,
+        }
+        (place / ARRAY).write_text(json.dumps(head))
+        (place / ATTRIBUTES).write_text(json.dumps({"_ARRAY_DIMENSIONS": list(dims)}))
+        if plain.size:
+            (place / ".".join(["0"] * plain.ndim)).write_bytes(plain.tobytes())
 
 
 RECORDINGS_FILE, JOINTS_FILE = "recordings.parquet", "joints.parquet"
@@ -133,14 +123,13 @@ JOINT_COLUMNS = _columns("""
     probability_limit_now | double | probability that the gap was above its limit at the last date
     probability_wear | double | probability that the gap has grown since the first date; without
         pooling
-    rate_rad_per_year_median/low/high/sd | double | mean rate over the dates in use, rad/year; uses
-        other joints if pooled is true
+    rate_rad_per_year_median/low/high/sd | double | mean rate over the dates in use, rad/year
     rate_alone_rad_per_year_median/low/high | double | rate from this joint's recordings only,
         rad/year
-    pooled | bool | whether rate and date use other joints of its type
+    pooled | bool | whether rate, law and date use other joints of its type
     probability_unlike_type | double | probability that it does not wear like its type; null
         if its type is unknown
-    law | string | likeliest law of wear; uses other joints if pooled is true
+    law | string | likeliest law of wear
     limit_date_median/low/high | string | when the gap reaches the limit; null: not in 1000 years
     limit_date_not_before | string | one-sided bound, at the interval's level
     probability_limit_before | double | probability that the limit is reached before [fleet]
@@ -167,7 +156,7 @@ def recording_row(
     """A row of ``recordings.parquet`` without the recording's identity."""
     row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
     row |= {"outcome": answer.outcome, "reason": answer.reason, "used": used}
-    row |= {"route": answer.route or None}
+    row["route"] = answer.route or None
     row["notes"] = " ".join(n for n in answer.notes if n not in (answer.reason or "")) or None
     if answer.amplitude_rpm is not None:
         ends = (f"amplitude_rpm_{end}" for end in ("median", "low", "high"))
@@ -198,22 +187,19 @@ def pool(
     measured: Sequence[Measured], column: str | None, seed: int, covariates: Sequence[str] = ()
 ) -> tuple[dict[str, TypeRates], dict[str, Borrowed]]:
     """Rates by type, and by joint what its type adds; ``covariates`` are columns."""
-    groups: dict[str, dict[str, WearDraws]] = defaultdict(dict)
+    groups: dict[str, list[tuple[Joint, WearDraws]]] = defaultdict(list)
     for one in measured:
         if column and one.answer.wear is not None and one.joint.group(column):
-            groups[one.joint.group(column)][one.joint.name] = one.answer.wear
-    joints = {one.joint.name: one.joint for one in measured}
+            groups[one.joint.group(column)].append((one.joint, one.answer.wear))
     types: dict[str, TypeRates] = {}
     borrowed: dict[str, Borrowed] = {}
     for place, (name, members) in enumerate(sorted(groups.items())):
-        rates = pooled(
-            list(members.values()),
-            np.random.default_rng([seed, place]),
-            {key: np.array([joints[one].covariates[key] for one in members]) for key in covariates},
-        )
+        joints, wears = zip(*members, strict=True)
+        known = {key: np.array([joint.covariates[key] for joint in joints]) for key in covariates}
+        rates = pooled(wears, np.random.default_rng([seed, place]), known)
         if rates is not None:
             types[name] = rates.rates
-            borrowed |= dict(zip(members, rates.joints, strict=True))
+            borrowed |= {j.name: own for j, own in zip(joints, rates.joints, strict=True)}
     return types, borrowed
 
 
@@ -348,4 +334,95 @@ def require_tables() -> None:
         raise ConfigError(
             "A fleet needs a package that is not installed.",
             expected="pip install 'bayesbl[fleet]'",
+        ) from None
+
+
+Row = dict[str, Any]
+
+UNUSABLE = frozenset({REFUSED, FAILED})
+
+_BESIDE = ".growing"
+
+
+@dataclass(slots=True)
+class RecordingTable:
+    """Rows and their file. ``beside``: a locked hidden folder for the writer's own data."""
+
+    path: Path
+    beside: Path
+    rows: list[Row]
+    _changed: bool = False
+
+    @classmethod
+    @contextmanager
+    def opened(cls, output: Path) -> Iterator[RecordingTable]:
+        """The table of an output folder, for one writer at a time; the folder is made if needed.
+
+        Raises UserError if the folder holds a fleet's result, which the next run replaces, if the
+        table is damaged or in use, or without pyarrow.
+        """
+        require_tables()
+        require_no_link(output)
+        if is_finished(output):
+            raise ResultError(
+                "This folder holds the result of a run, which would be mixed with other rows.",
+                file=output,
+                expected="another folder (--out)",
+            )
+        with locked_sibling(output, _BESIDE) as beside:
+            path = output / RECORDINGS_FILE
+            yield cls(path, beside, _read(path))
+
+    def holds_measured(self, joint: str, sha256: str) -> bool:
+        """Whether a recording was measured here and is usable."""
+        usable = {"device": None, "joint": joint, "sha256": sha256, "outcome": "usable"}
+        return self._knows(usable)
+
+    def put(self, row: Row) -> bool:
+        """Add a row, unless the table has it, or one of the same recording that says more.
+
+        Rows of the same device, joint and file describe its former content and are removed.
+        """
+        if self._knows(row):
+            return False
+        same = ("file",) if row["sha256"] is None else ("file", "sha256")
+        kept = [one for one in self.rows if not any(_is_same(row, one, key) for key in same)]
+        self.rows = sorted([*kept, row], key=lambda one: (one["joint"], one["date"], one["file"]))
+        self._changed = True
+        return True
+
+    def save(self) -> None:
+        """Write all rows to disk. Raises OSError and leaves the file unchanged if that fails."""
+        if self._changed:
+            with replacing(self.path, durable=True) as temporary:
+                write_table(self.rows, RECORDING_COLUMNS, temporary)
+            self._changed = False
+
+    def _knows(self, row: Row) -> bool:
+        if row["sha256"] is None:
+            return any(_is_same(row, one, "file", "reason") for one in self.rows)
+        known = {one["outcome"] for one in self.rows if _is_same(row, one, "sha256")}
+        return bool(known if row["outcome"] in UNUSABLE else known - UNUSABLE)
+
+
+def _is_same(row: Row, one: Row, *keys: str) -> bool:
+    """Whether both rows are of the same device and joint, and alike in these columns."""
+    return all(one[key] == row[key] for key in ("device", "joint", *keys))
+
+
+def _read(path: Path) -> list[Row]:
+    import pyarrow.parquet
+
+    if not path.exists():
+        return []
+    schema = schema_of(RECORDING_COLUMNS)
+    try:
+        table = pyarrow.parquet.read_table(path)
+        return list(table.select(schema.names).cast(schema).to_pylist())
+    except (pyarrow.ArrowException, KeyError, ValueError) as error:
+        raise ResultError(
+            "This is no table of recordings, or it is damaged.",
+            file=path,
+            found=str(error),
+            expected="a table that bayesbl wrote; to start a new one, move this file away",
         ) from None

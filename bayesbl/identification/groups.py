@@ -48,8 +48,7 @@ from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED
-from bayesbl.results.intervals import Interval, IntervalKind, interval
-from bayesbl.results.store import Head
+from bayesbl.results.store import Head, Interval, IntervalKind, interval
 from bayesbl.results.variables import dataset
 from bayesbl.sentences import flaws_in_words
 from bayesbl.units import in_words
@@ -92,10 +91,10 @@ class BeyondSummary(TypedDict):
 
 
 class TogetherSummary(TypedDict):
-    """Parameters known together far better than alone: by the ratios of all, or the product of two.
+    """Parameters known far better together than alone: by the ratios of all, or the product of two.
 
-    ``alone_sd`` is the largest relative standard deviation of one of them, ``together_sd`` that of
-    their ratios or product.
+    ``alone_sd``: largest relative standard deviation of one; ``together_sd``: that of their ratios
+    or product.
     """
 
     parameters: list[str]

@@ -26,9 +26,11 @@ PACES = (1.0, 0.6, 0.3)
 
 class NextRecordingSummary(TypedDict):
     """What to record next: five load rotations at one speed, or the motion of the recording
-    ``motion_of``. ``information_bits`` is the binary logarithm of the factor by which the volume of
-    the posterior shrinks. ``sharpens`` is the unknown that gains most; ``sd_before`` and
-    ``sd_after`` are the standard deviations of its logarithm."""
+    ``motion_of``.
+
+    ``information_bits``: log2 of the factor by which the volume of the posterior shrinks.
+    ``sharpens``: the unknown that gains most, with the standard deviations of its logarithm.
+    """
 
     reference_speed_rpm: float
     motion_of: str | None

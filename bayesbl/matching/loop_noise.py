@@ -211,12 +211,8 @@ def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
         power = np.fmin(np.interp(frequency, frequency[usable], seen[usable], left=level), seen)
         size = np.sqrt(np.interp(frequencies, frequency, power))
         size[0] = 0.0
-        drawn = _rotations(
-            fit,
-            recording,
-            f"noise of the {origin}",
-            _noise(fit, recording, size, *_of_origin(origin, *responses)),
-        )
+        draws = _noise(fit, recording, size, *_of_origin(origin, *responses))
+        drawn = _rotations(fit, recording, f"noise of the {origin}", draws)
         if np.all(np.isfinite(drawn)):
             shares.append(likely)
             rotations.append(drawn)
@@ -237,9 +233,8 @@ def _of_origin(
     if origin == "sensor":
         channels = np.stack([in_speed, in_current])
         return np.ones_like(in_speed), channels, np.array([1.0, 0.0])
-    reference = np.divide(
-        in_speed, in_current, out=np.zeros_like(in_speed), where=in_current != 0.0
-    )
+    is_shown = in_current != 0.0
+    reference = np.divide(in_speed, in_current, out=np.zeros_like(in_speed), where=is_shown)
     channels = (in_speed - 1.0) * np.stack([reference, np.ones_like(reference)])
     return reference, channels, np.array([0.0, -1.0])
 

@@ -65,8 +65,7 @@ from bayesbl.processes import processes
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, speed_in_another_unit
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_SPEED, FloatArray, Recording
-from bayesbl.results.intervals import Interval
-from bayesbl.results.store import read_tree
+from bayesbl.results.store import Interval, read_tree
 from bayesbl.results.variables import Group, Variable, labels, table
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate, nominal_speed_rpm

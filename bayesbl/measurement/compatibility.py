@@ -177,7 +177,7 @@ def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, flo
     if low / LIMIT_BEYOND <= limit_rad <= LIMIT_BEYOND * high:
         return
     raise ConfigError(
-        "The limit is far from every gap that can be measured here.",
+        "The limit is far from any gap that can be measured in this joint.",
         where="limit_rad",
         found=f"{limit_rad:g} rad = {1e3 * limit_rad:.4g} mrad",
         expected=f"a limit near {1e3 * low:.3g} to {1e3 * high:.3g} mrad, given in rad "

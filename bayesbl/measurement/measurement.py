@@ -172,10 +172,10 @@ class CheckItem(TypedDict):
 class JointCheck(TypedDict):
     """Comparison of a snapshot with its bench, or of snapshots with one another.
 
-    ``could_be`` names effects or parameters of the bench that would explain the differences.
-    ``blind_spots`` are changes of the joint that the check cannot detect. Each has
-    ``delta_error_rad``: how far it would move δ, if that is known. If nothing was compared,
-    ``items`` is empty and ``agrees`` true.
+    ``could_be`` names effects or bench parameters that would explain the differences.
+    ``blind_spots`` are changes of the joint that the check cannot detect, with how far each would
+    move δ, if known (``delta_error_rad``). If nothing was compared, ``items`` is empty and
+    ``agrees`` true.
     """
 
     agrees: bool

@@ -18,7 +18,7 @@ import xarray as xr
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.recording.types import CHANNELS, FloatArray, Recording
-from bayesbl.results.intervals import Interval, interval
+from bayesbl.results.store import Interval, interval
 from bayesbl.results.variables import Group, Variable, datasets, labels, table
 from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.units import unit_of

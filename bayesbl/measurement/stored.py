@@ -20,9 +20,8 @@ from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reaso
 from bayesbl.measurement.shared_groups import CHANGE, GAP
 from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.store import json_text, summary_of
+from bayesbl.results.store import Interval, interval, json_text, summary_of
 from bayesbl.results.variables import STACKED, dataset, datasets, stack_snapshots
 
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Literal, NotRequired, TypedDict
 
 from bayesbl.measurement.measurement import JointCheck
-from bayesbl.results.intervals import Interval
-from bayesbl.results.store import Origin
+from bayesbl.results.store import Interval, Origin
 from bayesbl.sampling.convergence import Outcome
 
 
 class ReasonSummary(TypedDict):
     """Why an answer is withheld or limited, or why a route answers; programs should read ``code``.
 
-    Each number and name in its sentence is a key too. ``recordings``: those that it concerns, if
-    not all. ``also``: further reasons, which ``text`` includes. In the diagnostics, ``withholds``
-    says whether δ is withheld, and ``because`` says why another route has no answer. The reason of
-    ``answer`` names the ``route``.
+    Each number and name in ``text`` is a key too. ``recordings``: those concerned, if not all.
+    ``also``: further reasons, which ``text`` includes. In the diagnostics, ``withholds`` says
+    whether δ is withheld, and ``because`` why another route has no answer. The reason of ``answer``
+    names the ``route``.
     """
 
     code: str
@@ -83,8 +82,7 @@ class MotionSummary(TypedDict):
 
 
 class RampsSummary(TypedDict):
-    """The ramps that show the play; ``width_rad`` has the mean width at each position around the
-    turn."""
+    """The ramps that show the play; ``width_rad``: mean width at each position around the turn."""
 
     positions: int
     cycles: int
@@ -156,15 +154,13 @@ class _OfSomeRoutes(TypedDict, total=False):
 
 
 class RouteSummary(_OfSomeRoutes):
-    """One recording by one route. Keys in brackets belong to some routes only.
+    """One recording by one route; one that could not be run has only ``route``, ``delta_rad`` and
+    ``reason``.
 
-    A route that could not be run has only ``route``, ``delta_rad`` and ``reason``. If the load's
-    position was recorded, ``two_encoders`` is a second opinion beside the route that answers.
-    ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
-    gap.
-
-    Keys that are also variables of ``result.nc`` are explained there. Draws become their interval,
-    or ``None`` if the variable is NaN. ``preloaded``: ramps of torque show no play.
+    If the load's position was recorded, ``two_encoders`` is a second opinion beside the route that
+    answers. ``delta_upper_bound_rad`` (95 %) is given if there may be no gap. ``preloaded``: ramps
+    of torque show no play. Keys that are also variables of ``result.nc`` are explained there; draws
+    become their interval, or ``None`` if the variable is NaN.
     """
 
     route: str
@@ -252,9 +248,9 @@ class DateInterval(TypedDict):
 class ForecastFromPrior(TypedDict):
     """How much of a forecast comes from the prior.
 
-    ``width_over_prior`` is the width of ln years_to_limit, over its width by the prior alone with
-    the same gap and mean rate. ``probability_change_ahead`` is the share of forecasts in which wear
-    changes between the last recording and the limit.
+    ``width_over_prior``: width of ln years_to_limit, over that by the prior alone with the same gap
+    and mean rate. ``probability_change_ahead``: share of forecasts in which wear changes between
+    the last recording and the limit.
     """
 
     width_over_prior: float
@@ -272,16 +268,16 @@ class ChangeSummary(TypedDict):
 
 
 class WearSummary(TypedDict):
-    """Wear in time, from dated snapshots since the last repair. ``level`` is the probability of
-    one-sided bounds too.
+    """Wear in time, from dated snapshots since the last repair.
 
-    ``probability_wear``, that the gap grows, allows for shrinking gaps; the other keys do not.
-    ``law`` has the posterior probability of each law of wear. ``rate`` is the mean since the first
-    snapshot, ``rate_now`` the rate at the last one by the laws. ``scatter_rad_per_root_year`` is
-    irregular wear, ``None`` with fewer than four snapshots. ``relative_sd_per_date`` is as
-    configured; ``drift_widens`` is the factor by which it widens the rate. ``years_to_limit`` count
-    from the last snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead. If no rate
-    can be given, ``reason`` says why, and all values of the rate are null.
+    ``level`` is the probability of one-sided bounds too. ``probability_wear``, that the gap grows,
+    allows for shrinking gaps; the other keys do not. ``law``: posterior probability of each law of
+    wear. ``rate`` is the mean since the first snapshot, ``rate_now`` the rate at the last one by
+    the laws. ``scatter_rad_per_root_year`` is irregular wear, ``None`` with fewer than four
+    snapshots. ``drift_widens``: factor by which ``relative_sd_per_date``, as configured, widens the
+    rate. ``years_to_limit`` count from the last snapshot. ``forecast_from_prior`` is ``None``
+    without a limit ahead. If no rate can be given, ``reason`` says why, and all values of the rate
+    are null.
     """
 
     snapshots: list[str]

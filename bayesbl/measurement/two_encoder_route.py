@@ -31,7 +31,7 @@ from bayesbl.recording.types import (
     MOTOR_TORQUE,
     Recording,
 )
-from bayesbl.results.intervals import interval
+from bayesbl.results.store import interval
 from bayesbl.results.variables import Group, table
 from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths

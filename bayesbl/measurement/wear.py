@@ -43,7 +43,7 @@ from bayesbl.measurement.measurement import Answer, Reason
 from bayesbl.measurement.summary_types import WearSummary
 from bayesbl.probabilities import FALSE_ALARM, TOO_FEW, ends, normal_sf
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import interval
+from bayesbl.results.store import interval
 from bayesbl.results.variables import Group, dataset, table
 
 HAZARD = 1.5

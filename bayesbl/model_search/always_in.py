@@ -242,7 +242,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 usual,
                 drift_of(effect.name, stated) * usual,
                 changed,
-                positive=main.not_negative and not effect.in_nominal,
+                # A bench includes the lag that its drive compensates.
+                positive=main.not_negative and effect.enters != "loop",
                 least=main.sought_from or 0.0,
                 effect=effect.name,
             )

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         SamplerCheckSummary,
         SnapshotSummary,
     )
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
     from bayesbl.runs.kinds import Summary
 
 
@@ -407,7 +407,7 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
 
 _AGAIN = {
     "motion": "the motion two times or more in a row",
-    "ramps": "with the ramps that are asked for",
+    "ramps": "with the ramps stated in the reason",
     "reversals": "with more reversals, slow and fast",
 }
 _LONGER = "longer and at one constant speed"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         RemainingSummary,
     )
     from bayesbl.identification.groups import EffectFound
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
 
 
 MOST_RIVALS = 2  # largest number of rivals that a headline names

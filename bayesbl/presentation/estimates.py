@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
 
 
 BOUND_EXPLAINED = (

@@ -12,7 +12,7 @@ from bayesbl.presentation.blocks import Block, Sentence, table
 from bayesbl.presentation.wear import LAWS, month
 
 if TYPE_CHECKING:
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
     from bayesbl.runs.fleet import FleetSummary
 
 Row = Mapping[str, Any]  # A row of a table of the fleet, or its summary
@@ -26,7 +26,7 @@ OUTCOMES = {
     "withheld": "withheld",
     "no_curve": "without a bench or a curve",
     "refused": "refused",
-    "failed": "failed by a bug",
+    "failed": "failed because of a bug",
 }
 """Outcomes of recordings in words."""
 

@@ -34,13 +34,16 @@ def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> T
     return table((first, *(f"#{column}" for column in others)), rows)
 
 
-ASSUMPTIONS = ("Each case has random numbers of its own, from the seed, the row and its number.",)
+ASSUMPTIONS = (
+    "Each case has its own random numbers, set by the seed, the row and the case number.",
+)
 
 
 def advice(summary: StudySummary) -> Advice:
     """Whether all cases of a study count."""
     failed = sum(int(row["failed"]) for row in summary["rows"])
     if failed:
-        why = f"{failed} cases failed and are not in the numbers; result.nc says why."
+        cases = "1 case failed and is" if failed == 1 else f"{failed} cases failed and are"
+        why = f"{cases} not counted; result.nc says why."
         return Advice("watch", "Look at the cases that failed first.", (why,))
-    return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))
+    return Advice("note", "Read the table below, row by row.", ("No case failed.",))

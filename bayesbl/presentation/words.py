@@ -14,7 +14,7 @@ from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import RouteSummary
-    from bayesbl.results.intervals import Interval
+    from bayesbl.results.store import Interval
 
 RAREST = 1e-3  # thousands of draws cannot show probabilities closer to 0 or 1
 SURE = 0.95  # probability from which something is shown; below 1 minus this, its opposite
@@ -107,8 +107,9 @@ def gap_cells(gap: Interval | None, upper_rad: float | None = None) -> tuple[str
 
 
 def of(*names: str) -> str:
-    """`` of NAME``; empty for the only snapshot of a fit."""
-    return f" of {', '.join(names)}" if any(names) else ""
+    """`` of "NAME"``; empty for the only snapshot of a fit."""
+    quoted = ", ".join(f'"{name}"' for name in names)
+    return f" of {quoted}" if any(names) else ""
 
 
 def capitalised(sentence: str) -> str:

@@ -37,7 +37,7 @@ def require_whole(content: bytes | Path, refusal: Callable[..., Exception]) -> f
 
     def outside(path: str, actual: str) -> Exception:
         return refusal(
-            "This file shows what it does not hold itself.",
+            "This file refers to data outside itself.",
             where=f'"{path}"',
             found=actual,
             expected="a file with all its values in it, each once, packed by HDF5's own filters; "

@@ -80,7 +80,7 @@ def memory_bytes() -> int:
     except ValueError:
         limit = 0.0
     if not 0.0 < limit < 1e12:
-        raise OSError(errno.EINVAL, f"{LIMIT_VARIABLE} = {stated!r}, which is no number of MB")
+        raise OSError(errno.EINVAL, f"{LIMIT_VARIABLE} = {stated!r}, which is not a number of MB")
     return int(1e6 * limit)
 
 

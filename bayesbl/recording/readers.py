@@ -194,7 +194,7 @@ def _values(
     is_other = time_column.unit not in (None, "s", "datetime")
     if is_other if stamps is not None else time_column.unit == "datetime":
         raise RecordingError(
-            "Time is not in the unit that was stated for it.",
+            "Time is not in its stated unit.",
             where=f'column "{time_column.name}"',
             found=kinds[0],
             expected=f'{kinds[1]}, as unit = "{time_column.unit}" says',
@@ -233,7 +233,7 @@ def _seconds(
         seconds = time if column.factor == 1.0 else time * column.factor
     if not (np.isfinite(seconds[-1] - seconds[0]) and np.all(np.diff(seconds) > 0.0)):
         raise RecordingError(
-            "Time cannot be counted in seconds.",
+            "Time in seconds does not increase from sample to sample.",
             where=f'column "{column.name}"',
             found=f"from {time[0]:.6g} to {time[-1]:.6g}",
             expected="the time of a recording",
@@ -270,7 +270,7 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
     if not format_.is_begun_by(data):
         raise RecordingError(
             f"The file cannot be read as {format_.name}.",
-            found=f"{len(data)} bytes that do not begin as such a file does",
+            found=f"{len(data)} bytes that do not begin like such a file",
             expected=f"a whole {format_.name} file, and the suffix of what the file holds",
         )
     if format_.library and find_spec(format_.library) is None:

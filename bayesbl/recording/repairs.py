@@ -153,7 +153,7 @@ def bridge(time_s: FloatArray, values: FloatArray, place: Place, *, even: bool =
     cut = whole.size - (last - first)
     if cut > MOST_CUT * whole.size:
         raise RecordingError(
-            "Most of the recording has no numbers, at its ends.",
+            "Too much of the recording has no numbers at its start or end.",
             found=f"{whole.size - cut} of {whole.size} samples between the first and the last "
             "that have a number in every column",
             expected=f"at least {100.0 * (1.0 - MOST_CUT):g} %; rename a column that is not needed",

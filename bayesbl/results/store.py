@@ -3,7 +3,7 @@
 The last bytes of a result file are its seal, the SHA-256 of all bytes before them. The seal is
 checked before a library opens the file, since HDF5 may crash or hang on damaged bytes. HDF5 and
 NetCDF readers ignore bytes behind the end that a file states, and drop them when they change a
-file.
+file. Every ``summary.json`` has a :class:`Head`, and its intervals are an :class:`Interval` each.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import shlex
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict
+from typing import Any, BinaryIO, Literal, NotRequired, TypedDict
 
 import numpy as np
 import xarray as xr
@@ -26,11 +26,13 @@ from xarray.conventions import encode_dataset_coordinates
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError
+from bayesbl.probabilities import ends
 from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import FORMATS, RESULT_MARK
 from bayesbl.recording.hdf5 import require_whole
 from bayesbl.recording.input_bytes import LIMIT_VARIABLE, memory_bytes
-from bayesbl.results.atomic import replacing
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.folder import replacing
 
 _MARK = b"\nbayesbl SHA-256 "
 _HEX_DIGITS = 64
@@ -116,21 +118,17 @@ def read_tree(path: str | Path) -> xr.DataTree:
         raise ResultError(
             "There is no such result." + did_you_mean_file(file), file=file, expected="a result.nc"
         )
-    quoted = shlex.quote(str(file))
-    if file.suffix.lower() == ".toml":
+    sources = dict.fromkeys(FORMATS.keys() - {".nc"}, ("recording", "fit", "one"))
+    sources[".toml"] = ("configuration", "run", "it")
+    if file.suffix.lower() in sources:
+        what, command, one = sources[file.suffix.lower()]
+        makes = f"`bayesbl {command} {shlex.quote(str(file))}` makes {one}"
         raise ResultError(
-            "This is a configuration, not a result.",
+            f"This is a {what}, not a result.",
             file=file,
-            expected=f"the output folder of a run; `bayesbl run {quoted}` makes it",
-        )
-    if file.suffix.lower() in FORMATS.keys() - {".nc"}:
-        raise ResultError(
-            "This is a recording, not a result.",
-            file=file,
-            expected=f"the output folder of a run; `bayesbl fit {quoted}` makes one",
+            expected=f"the output folder of a run; {makes}",
         )
     _require_intact(file)
-    _require_whole(file)
     with xr.open_datatree(file, engine="netcdf4") as opened:
         tree: xr.DataTree = opened.load()
     if tree.attrs[RESULT_MARK] != FORMAT_VERSION:
@@ -175,6 +173,7 @@ def write_text(text: str, path: str | Path) -> None:
 
 
 def _require_intact(file: Path) -> None:
+    """Check seal and structure, because whoever changes a file can seal it again."""
     with open(file, "rb") as stream:
         size = max(0, stream.seek(0, os.SEEK_END) - _BYTES)
         stream.seek(size)
@@ -190,31 +189,25 @@ def _require_intact(file: Path) -> None:
             expected="a result.nc as it was written; to make it again, `bayesbl run config.toml "
             "--force` in its folder",
         )
-    if not is_intact:
+    damage = "" if is_intact else "content that does not match its checksum"
+    content_bytes = 0.0
+    if is_intact:
+        try:
+            content_bytes = require_whole(file, partial(ResultError, file=file))
+        except (OSError, RuntimeError, ValueError):
+            damage = "no sound structure of groups and variables"
+    if damage:
         raise ResultError(
             "The result is damaged, or was changed after it was written.",
             file=file,
-            found="content that does not match its checksum",
+            found=damage,
             expected="a result.nc as bayesbl wrote it",
         )
-
-
-def _require_whole(file: Path) -> None:
-    """Check the structure too, because whoever changes a file can seal it again."""
-    try:
-        size = require_whole(file, partial(ResultError, file=file))
-    except (OSError, RuntimeError, ValueError):
-        raise ResultError(
-            "The result is damaged, or was changed after it was written.",
-            file=file,
-            found="no sound structure of groups and variables",
-            expected="a result.nc as bayesbl wrote it",
-        ) from None
-    if size > memory_bytes():
+    if content_bytes > memory_bytes():
         raise ResultError(
             "Reading this result takes too much memory.",
             file=file,
-            found=f"{size / 1e6:.5g} MB",
+            found=f"{content_bytes / 1e6:.5g} MB",
             expected=f"at most {memory_bytes() / 1e6:g} MB; the environment variable "
             f"{LIMIT_VARIABLE} raises the limit",
         )
@@ -227,6 +220,43 @@ def _plain(value: object) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     raise TypeError(f"{type(value).__name__} is not for JSON")
+
+
+IntervalKind = Literal["equal_tailed", "hdi"]
+
+
+class Interval(TypedDict):
+    """Median, bounds and the probability between them; a rate also has its unit."""
+
+    median: float
+    low: float
+    high: float
+    level: float
+    kind: IntervalKind
+    unit: NotRequired[str]
+
+
+def interval(draws: FloatArray, level: float, kind: IntervalKind) -> Interval:
+    """Median and credible interval of draws, any shape.
+
+    ``equal_tailed`` leaves (1 − level)/2 on either side; ``hdi`` is the narrowest interval that
+    holds ``level``.
+    """
+    flat = np.sort(np.asarray(draws, dtype=float).ravel())
+    if kind == "hdi":
+        count = max(1, round(level * flat.size))
+        widths = flat[count - 1 :] - flat[: flat.size - count + 1]
+        first = int(np.argmin(widths))
+        low, high = flat[first], flat[first + count - 1]
+    else:
+        low, high = ends(flat, level)
+    return {
+        "median": float(np.median(flat)),
+        "low": float(low),
+        "high": float(high),
+        "level": level,
+        "kind": kind,
+    }
 
 
 class Origin(TypedDict):

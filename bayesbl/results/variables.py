@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import dedent
 
 import numpy as np
 import xarray as xr
@@ -67,11 +68,8 @@ def table(text: str) -> tuple[Variable, ...]:
     that are indented more than the first one continue the line above.
     """
     rows: list[str] = []
-    margin = None
-    for line in filter(str.strip, text.splitlines()):
-        indent = len(line) - len(line.lstrip())
-        margin = indent if margin is None else margin
-        if indent > margin:
+    for line in filter(None, dedent(text).splitlines()):
+        if line.startswith(" "):
             rows[-1] += f" {line.strip()}"
         else:
             rows.append(line.strip())

@@ -23,7 +23,7 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
@@ -36,7 +36,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import make_own, require_own, unwritable
+from bayesbl.results.folder import make_own, require_own, unwritable
 from bayesbl.results.provenance import code_sha256, dependency_versions
 
 T = TypeVar("T")
@@ -223,21 +223,19 @@ class WorkStore:
         """Delete the oldest entries until the others are within this total size."""
         latest = sorted(self._files().items(), key=lambda entry: -entry[1].st_mtime_ns)
         sizes = accumulate(status.st_size for _, status in latest)
-        self._delete(n for (n, _), size in zip(latest, sizes, strict=True) if size > size_bytes)
+        for (file, _), size in zip(latest, sizes, strict=True):
+            if size > size_bytes:
+                file.unlink(missing_ok=True)
 
     def keep_only(self, addresses: Collection[str]) -> None:
         """Delete all entries but those at these addresses or being written."""
-        names = self._files().keys() - set(addresses)
-        self._delete(name for name in names if not name.endswith(_PART))
+        for file in self._files():
+            if file.name not in addresses and file.suffix != _PART:
+                file.unlink(missing_ok=True)
 
-    def _delete(self, names: Iterable[str]) -> None:
-        if self.folder is not None:
-            for name in names:
-                (self.folder / name).unlink(missing_ok=True)
-
-    def _files(self) -> dict[str, os.stat_result]:
-        """Entries in the folder, also unfinished ones, by name; no other file."""
-        by_name = {}
+    def _files(self) -> dict[Path, os.stat_result]:
+        """Entries in the folder, also unfinished ones, with their status; no other file."""
+        files = {}
         with suppress(FileNotFoundError):
             if self.folder is not None:
                 require_own(self.folder)
@@ -245,8 +243,8 @@ class WorkStore:
                     with suppress(FileNotFoundError):
                         is_ours = _ENTRY.fullmatch(entry.name) is not None
                         if is_ours and entry.is_file(follow_symlinks=False):
-                            by_name[entry.name] = entry.stat()
-        return by_name
+                            files[Path(entry.path)] = entry.stat()
+        return files
 
     def address_of(self, what: str, inputs: object) -> str:
         """Address of finished work with these inputs."""

@@ -130,7 +130,7 @@ def _on_cluster(
             except KilledWorker as error:
                 raise ClusterError(
                     # Dask suspects all that a dead worker had at hand.
-                    "Workers died repeatedly while they ran this case, or one beside it.",
+                    "Workers died repeatedly while they ran this case, or another one with it.",
                     file=scheduler,
                     where=job.in_words,
                     found=f"last {error.last_worker.address}" if error.last_worker else None,

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import cast
 
 import numpy as np
@@ -45,17 +44,13 @@ from bayesbl.runs.workflow import Options, Plan, settings_of
 FEWEST_SAMPLES = 200
 
 
-METHODS: Mapping[Method, Callable[[Task], Comparison]] = MappingProxyType(
-    {
-        "forward": lambda task: (
-            speed_loop.comparison(task)
-            if task.bench.drive == "rigid"
-            else closed_loop.comparison(task)
-        ),
-        "inverse": inverse.comparison,
-        "free_motion": free_motion.comparison,
-    }
-)
+METHODS: Mapping[Method, Callable[[Task], Comparison]] = {
+    "forward": lambda task: (
+        speed_loop.comparison(task) if task.bench.drive == "rigid" else closed_loop.comparison(task)
+    ),
+    "inverse": inverse.comparison,
+    "free_motion": free_motion.comparison,
+}
 """Comparisons by ``[comparison] method``. Each refuses an unsuitable bench, recording or unknown
 (``UserError``)."""
 

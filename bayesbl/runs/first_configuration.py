@@ -72,9 +72,11 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     form = Environment(
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined
     )
-    form.filters["quoted"] = quoted
+    form.filters["quoted"] = lambda text: json.dumps(text, ensure_ascii=False).replace(
+        "\x7f", "\\u007f"
+    )
     names, dates = names_of(recordings), [_date_in(file.name) for file in recordings]
-    files = [relative(file, path) for file in recordings]
+    files = [Path(os.path.relpath(file, path.parent)).as_posix() for file in recordings]
     return form.from_string(_beside(FIRST_CONFIGURATION)).render(
         command=shlex.quote(path.name),
         kind="fit" if len(recordings) == 1 else "compare",
@@ -92,16 +94,6 @@ def _date_in(name: str) -> str:
         return "" if match is None else date.fromisoformat(match[0]).isoformat()
     except ValueError:
         return ""
-
-
-def quoted(text: str) -> str:
-    """A text in TOML."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def relative(file: Path, path: Path) -> str:
-    """A file's path as the configuration at ``path`` states it."""
-    return Path(os.path.relpath(file, path.parent)).as_posix()
 
 
 FIRST_CONFIGURATION, FIRST_BENCH = "first_configuration.toml.jinja", "joint.toml"

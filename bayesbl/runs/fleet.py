@@ -35,20 +35,26 @@ from bayesbl.fleet.plant_tables import (
     JOINTS_FILE,
     RECORDING_COLUMNS,
     RECORDINGS_FILE,
-    DrawsStore,
     Measured,
     joint_rows,
     pool,
     recording_row,
     require_tables,
+    write_draws,
     write_table,
 )
 from bayesbl.fleet.pooled_rates import TypeRates
-from bayesbl.results.atomic import locked_sibling
-from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
-from bayesbl.results.intervals import interval
+from bayesbl.progress import of_stage
+from bayesbl.results.folder import (
+    CONFIG_FILE,
+    SUMMARY_FILE,
+    is_finished,
+    locked_sibling,
+    new_result,
+    require_free,
+)
 from bayesbl.results.provenance import git_commit
-from bayesbl.results.store import Head, write_json, write_text
+from bayesbl.results.store import Head, interval, write_json, write_text
 from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan
@@ -184,9 +190,8 @@ def _answers(
         options.say(
             f"{new} recordings to measure, {len(lacking)} of {len(jobs)} joints to look at."
         )
-    done = len(jobs) - len(lacking)
-    if options.progress is not None:
-        options.progress("Joints", done, len(jobs))
+    done, report = len(jobs) - len(lacking), of_stage(options.progress, "Joints")
+    report(done, len(jobs))
     for job, (answers, wear) in _measured(config, lacking, options.say):
         for number, answer in enumerate(answers):
             if number not in job.known and answer.lasting:
@@ -199,14 +204,11 @@ def _answers(
         if wear.lasting:
             store.keep("joint", job.problem(), kept)
         done += 1
-        if options.progress is not None:
-            options.progress("Joints", done, len(jobs))
+        report(done, len(jobs))
         yield job, kept
-    used = {store.address_of("joint", job.problem()) for job in jobs}
-    for job in jobs:
-        numbers = range(len(job.recordings))
-        used |= {store.address_of("recording", job.problem_of(number)) for number in numbers}
-    store.keep_only(used)
+    of_joints = [("joint", job.problem()) for job in jobs]
+    of_each = [("recording", job.problem_of(n)) for job in jobs for n in range(len(job.recordings))]
+    store.keep_only({store.address_of(*step) for step in of_joints + of_each})
 
 
 def _measured(
@@ -217,7 +219,7 @@ def _measured(
         for job in jobs:
             yield job, measure_joint(job)
         return
-    files = sorted({f for job in jobs for f in job.files})
+    files = sorted({file for job in jobs for file in job.named})
     yield from run_jobs(measure_joint, jobs, files, config.run, say, "joints")
 
 
@@ -229,7 +231,7 @@ def _write(
     folder: Path,
 ) -> FleetSummary:
     """Write tables, draws, summary and configuration of a fleet, from answers in any order."""
-    draws = DrawsStore(folder / DRAWS_FOLDER)
+    write_draws(folder / DRAWS_FOLDER, {}, {})
     rows: list[dict[str, Any]] = []
     of_joint: dict[str, Measured] = {}
     broken = Counter(one.joint for one in refused)
@@ -239,7 +241,7 @@ def _write(
         dates = tuple(one.date for one in job.recordings)
         outcomes = tuple(str(row["outcome"]) for row in kept.rows)
         outcomes += (REFUSED,) * broken[job.joint.name]
-        _put_draws(draws, job, kept.answer)
+        _write_draws(folder / DRAWS_FOLDER / job.joint.name, job, kept.answer)
         # The draws of single recordings are on disk, and are not needed any more.
         now = None if kept.answer.gap_rad is None else kept.answer.gap_rad[-1:]
         answer = replace(kept.answer, gap_rad=now)
@@ -260,7 +262,7 @@ def _write(
     return summary
 
 
-def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
+def _write_draws(folder: Path, job: JointJob, answer: JointAnswer) -> None:
     if answer.gap_rad is None:
         return
     dates = np.array([job.recordings[number].date for number in answer.used], dtype="U10")
@@ -272,7 +274,7 @@ def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:
         values = getattr(answer.wear, name, None)
         if values is not None:
             arrays[name] = (("wear_draw",), values)
-    draws.put(job.joint.name, arrays, {"reason": answer.reason or "", "route": answer.route})
+    write_draws(folder, arrays, {"reason": answer.reason or "", "route": answer.route})
 
 
 def summary_of(

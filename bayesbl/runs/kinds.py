@@ -6,7 +6,6 @@ Only this module knows all kinds; the module of a kind is imported when it is us
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -16,10 +15,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from bayesbl.arguments import Tree, checked
 from bayesbl.config.kinds import FILES, KINDS
-from bayesbl.config.loading import config_from_options, files_of, load_config, require_text_names
+from bayesbl.config.loading import (
+    config_from_options,
+    files_of,
+    kind_of,
+    load_config,
+    require_text_names,
+)
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ResultError
-from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import AUGMENTED_BENCH, CONFIG_FILE, IDENTIFIED_BENCH, require_apart
 from bayesbl.results.work import NOTHING_KEPT, STORE, WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, work_of, write_result
@@ -67,15 +71,6 @@ def load_run(path: str | Path, *, kind: str | None = None, **options: object) ->
     config = load_config(path, kind=kind)
     given: dict[str, Any] = {o: value for o, value in options.items() if value is not None}
     return config_from_options(config.kind, (), path, **given) if given else config
-
-
-def kind_of(path: str | Path) -> str:
-    """The kind that a file states; empty if it cannot be read, which loading then reports."""
-    try:
-        kind = tomllib.loads(read_input(Path(path)).decode("utf-8-sig")).get("kind")
-    except (OSError, ValueError, RecursionError):
-        return ""
-    return kind if isinstance(kind, str) else ""
 
 
 def run(config: RunConfig, options: Options, file: Path | None = None) -> Summary:

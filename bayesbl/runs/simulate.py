@@ -21,8 +21,7 @@ from bayesbl.config.loading import load_file
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import TIME, Recording
-from bayesbl.results.atomic import replacing, require_replaceable
-from bayesbl.results.folder import require_apart, require_inside
+from bayesbl.results.folder import replacing, require_apart, require_inside, require_replaceable
 from bayesbl.results.identified import bench_from
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
 

@@ -46,7 +46,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -55,17 +55,13 @@ from pydantic import BaseModel, ValidationError
 from bayesbl.config.kinds import StudyConfig
 from bayesbl.config.loading import config_error, problems_of
 from bayesbl.errors import ConfigError, UserError, WorkerError
-from bayesbl.results.atomic import replacing
-from bayesbl.results.folder import figure_title
+from bayesbl.progress import of_stage
+from bayesbl.results.folder import figure_title, replacing
 from bayesbl.results.provenance import file_sha256, git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, Head, json_text, summary_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan, work_of, write_result
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 Table = Mapping[str, Any]  # A row as the configuration states it
 REQUIRED = ("run_case", "summarise")
@@ -89,12 +85,6 @@ class Study:
     def name(self) -> str:
         """File name without suffix."""
         return self.path.stem
-
-    def figure(self, table: Sequence[Table], cases: Mapping[str, xr.Dataset]) -> Figure:
-        """The study's own figure."""
-        with error_of(self.path, "in figure"):
-            figure: Figure = self.module.figure(table, cases)
-        return figure
 
     def row(self, table: Table) -> Any:
         """A row as the study's functions take it. Raises ConfigError with all that ``Row``
@@ -129,7 +119,9 @@ class Study:
         """Run one case."""
         values = self.module.run_case(self.row(table), index, seed)
         if taken := sorted(values.keys() & OWN_COLUMNS.keys()):
-            raise ValueError(f"run_case returns names that are the runner's: {', '.join(taken)}")
+            raise ValueError(
+                f"run_case returns names that the runner uses itself: {', '.join(taken)}"
+            )
         return {str(name): float(value) for name, value in values.items()}
 
     def summarise(self, table: Table, cases: xr.Dataset) -> dict[str, float | int | str]:
@@ -408,9 +400,8 @@ def _finish(
     ]
     if not jobs:
         return
-    if options.progress is not None:
-        row = by_name[jobs[0].row]
-        options.progress(row.name, len(row.cases), row.count)
+    row = by_name[jobs[0].row]
+    of_stage(options.progress, row.name)(len(row.cases), row.count)
     run, files = partial(run_case, str(study.path)), files_of_study(study, jobs)
     try:
         for job, case in run_jobs(run, jobs, files, config.run, options.say, "cases"):
@@ -420,8 +411,7 @@ def _finish(
             if case.message and not any(other.message for other in row.cases.values()):
                 options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
             row.cases[case.index] = case
-            if options.progress is not None:
-                options.progress(row.name, len(row.cases), row.count)
+            of_stage(options.progress, row.name)(len(row.cases), row.count)
     except WorkerError:
         raise ConfigError(
             "A process that ran cases of this study died.",
@@ -433,8 +423,10 @@ def _finish(
 def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree:
     groups = {f"row_{n}": _row_group(study, row) for n, row in enumerate(rows, start=1)}
     tree = xr.DataTree.from_dict(groups)
-    attrs = [group.attrs for group in groups.values()]
-    lines = [{**json.loads(own["line"]), "seconds": own["seconds"]} for own in attrs]
+    lines = [
+        {**json.loads(group.attrs["line"]), "seconds": group.attrs["seconds"]}
+        for group in groups.values()
+    ]
     tree.attrs = {
         "kind": "study",
         "summary": json_text({"study": study.name, "rows": lines}),
@@ -485,7 +477,8 @@ def draw_study(study: Study, tree: xr.DataTree, folder: Path, formats: Sequence[
     """Draw the study's own figure, if its file has one; return the files."""
     if not hasattr(study.module, "figure") or not formats:
         return []
-    figure = study.figure(*stored_rows(tree))
+    with error_of(study.path, "in figure"):
+        figure = study.module.figure(*stored_rows(tree))
     paths = [folder / f"{study.name}.{ending}" for ending in formats]
     for path in paths:
         with replacing(path) as new:

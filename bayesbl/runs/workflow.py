@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ConfigError, UserError
-from bayesbl.results.atomic import locked_sibling, unwritable
 from bayesbl.results.folder import (
     CONFIG_FILE,
     FIGURES,
     SUMMARY_FILE,
     is_finished,
+    locked_sibling,
     new_result,
     require_free,
     require_no_file,
+    unwritable,
 )
 from bayesbl.results.work import LARGEST_STORE_BYTES, STORE, WorkStore
 

@@ -104,7 +104,7 @@ def measured(job: Any, number: int) -> Any:
     time.sleep(0.05)
     if one.date == DAYS[1]:
         return RecordingAnswer(REFUSED, str(RecordingError("It is too short.", file=one.file)))
-    amplitude = int(job.sha256[number][:4], 16) / 1000.0
+    amplitude = int(job.recordings[number].sha256[:4], 16) / 1000.0
     return RecordingAnswer(
         "no_curve", "No curve.", route="amplitude", amplitude_rpm=(amplitude, 0.0, 70.0)
     )

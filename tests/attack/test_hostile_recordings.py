@@ -128,7 +128,7 @@ def test_no_hdf5_file_shows_what_it_does_not_hold(
         columns(file)
         leave(file, secret)
     begin = time.monotonic()
-    with pytest.raises(RecordingError, match="does not hold itself") as caught:
+    with pytest.raises(RecordingError, match="refers to data outside itself") as caught:
         read_recording(path)
     assert time.monotonic() - begin < 3.0 * LONGEST_S
     assert "secret" not in str(caught.value)
@@ -144,7 +144,7 @@ def test_no_result_shows_what_it_does_not_hold(
     with h5py.File(path, "w") as file:
         leave(file, secret)
     seal(path)
-    with pytest.raises(ResultError, match="does not hold itself"):
+    with pytest.raises(ResultError, match="refers to data outside itself"):
         read_tree(path)
 
 

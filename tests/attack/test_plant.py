@@ -26,11 +26,9 @@ from bayesbl.fleet.broker import Credentials, read_address
 from bayesbl.fleet.inventory import Found
 from bayesbl.fleet.measured_joint import REFUSED, JointJob, RecordingAnswer
 from bayesbl.library import draw
-from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
-from bayesbl.runs.collect import collect
 from bayesbl.runs.kinds import run
-from bayesbl.runs.watch import Watched, watch
+from bayesbl.runs.watch import Watched, collect, watch
 from bayesbl.runs.workflow import Options
 
 pytest.importorskip("pyarrow")
@@ -40,7 +38,7 @@ def answer(job: JointJob, number: int) -> RecordingAnswer:
     """Refused where the content says so."""
     if "broken" in Path(job.recordings[number].file).read_text():
         return RecordingAnswer(REFUSED, "It is broken.")
-    gap = np.random.default_rng(int(job.sha256[number][:8], 16)).normal(1e-3, 1e-5, 100)
+    gap = np.random.default_rng(int(job.recordings[number].sha256[:8], 16)).normal(1e-3, 1e-5, 100)
     return RecordingAnswer("usable", None, route="direct", gap_rad=gap)
 
 
@@ -174,7 +172,7 @@ ANN = Credentials(user="ann", password="secret")
 
 def collected(plant: Path, broker: Broker) -> list[dict[str, object]]:
     address = read_address(f"mqtt://localhost:{broker.port}/plant")
-    with patch.object(collecting, "IDLE_S", 0.5):
+    with patch.object(watching, "IDLE_S", 0.5):
         collect(address, ANN, plant / "all", lambda _: None, lambda _: None, once=True)
     return table(plant / "all") if (plant / "all/recordings.parquet").exists() else []
 

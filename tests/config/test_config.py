@@ -520,7 +520,7 @@ def test_a_date_to_decide_before_that_cannot_be_used_is_refused(
     ("text", "told"),
     [
         (DATED + "[wear]\nrelative_sd_per_date = -0.1\n", "relative_sd_per_date"),
-        (DATED + "[wear]\nin_service_since = 2026-05-01\n", "begun to work after"),
+        (DATED + "[wear]\nin_service_since = 2026-05-01\n", "gone into service after"),
         (
             re.sub("(?m)^(date|decide_before) = .*$", "", DATED)
             + "[wear]\nrelative_sd_per_date = 0.02\n",

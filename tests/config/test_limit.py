@@ -155,7 +155,7 @@ def test_lost_motion_that_the_joint_does_not_tell_is_refused(
     [
         ('limit = "3 arcmin play"\nlimit_rad = 1e-3', "two limits"),
         ('limit = "3 arcmin"', "says whether it is"),
-        ('limit = "30 deg play"', "beyond every gap"),
+        ('limit = "30 deg play"', "larger than any gap"),
         ('limit = {value = 3.0, unit = "arcmin", of = "slack"}', "delta"),
         ('limit = {value = 3.0, unit = "mm", of = "play"}', "no radius"),
     ],

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayesbl.config.sections import Interval
+from bayesbl.fleet.broker import LARGEST_MESSAGE_BYTES, decoded_answer, encoded_answer
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.measured_joint import RecordingAnswer
-from bayesbl.fleet.message import LARGEST_MESSAGE_BYTES, decoded_answer, encoded_answer
 from bayesbl.fleet.plant_tables import recording_row
 
 JOINT = Joint(joint="R1-J2", limit_rad=1.2e-3)
@@ -82,7 +82,7 @@ def changed(**values):
         (changed(delta_rad_median=True), "delta_rad_median: .*number"),
         (changed(delta_rad_low=2e-3), "not in order"),
         (changed(delta_rad_q05=None), "no delta_rad_q05"),
-        (changed(amplitude_rpm_low=1.0), "not whole"),
+        (changed(amplitude_rpm_low=1.0), "not complete"),
         (changed(probability_above_limit=1.5), "probability_above_limit: .*1"),
         (changed(reason="No."), "beside the reason"),
         (changed(outcome="withheld"), "outcome says"),

@@ -7,17 +7,17 @@ import json
 import numpy as np
 import pytest
 
-from bayesbl.fleet.plant_tables import DrawsStore
+from bayesbl.fleet.plant_tables import write_draws
 
 
 @pytest.fixture
 def store(tmp_path):
-    made = DrawsStore(tmp_path / "draws.zarr")
+    write_draws(tmp_path / "draws.zarr", {}, {})
     arrays = {
         "date": (("recording",), np.array(["2026-01-01", "2026-03-01"])),
         "delta_rad": (("recording", "draw"), np.arange(6.0).reshape(2, 3)),
     }
-    made.put("R1-J2", arrays, {"route": "direct"})
+    write_draws(tmp_path / "draws.zarr/R1-J2", arrays, {"route": "direct"})
     return tmp_path / "draws.zarr"
 
 

@@ -140,8 +140,8 @@ def test_a_row_that_cannot_be_used_is_told_with_its_place(plant, line, told):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ('recordings = "data/{joint}.csv"', "which date"),
-        ('recordings = "data/*.csv"', "which joint"),
+        ('recordings = "data/{joint}.csv"', "the date of a file"),
+        ('recordings = "data/*.csv"', "contain the joint"),
         ('recordings = "none.csv"', "no such file"),
         ('recordings = "{joint}/{date}.csv"\npool_by = "gearbocks"', 'did you mean "gearbox'),
         (

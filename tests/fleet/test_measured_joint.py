@@ -134,7 +134,7 @@ def test_a_gap_that_fell_leaves_no_rate(job):
 def test_a_date_that_cannot_be_is_the_reason_and_no_error(job):
     joint = other_joint(job, in_service_since="2026-01-01")
     _, wear = measure_joint(replace(job, joint=joint))
-    assert "cannot have begun to work after" in str(wear.reason)
+    assert "cannot have gone into service after" in str(wear.reason)
 
 
 def test_the_bench_of_the_paper_gives_no_date(job):

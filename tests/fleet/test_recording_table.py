@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bayesbl.errors import ResultError
-from bayesbl.fleet.plant_tables import RECORDING_COLUMNS
-from bayesbl.fleet.recording_table import RecordingTable
+from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RecordingTable
 
 pytest.importorskip("pyarrow")
 

@@ -229,7 +229,7 @@ def test_a_study_with_a_hostile_row_is_shown(tmp_path):
     assert "<script" not in text
     require_closed(Reader(text))
     assert "Study coverage: 2 cases in 1 rows." in plain(Reader(text).text)
-    assert "1 cases failed" in Reader(text).text
+    assert "1 case failed" in Reader(text).text
 
 
 def test_what_is_no_result_is_refused(tmp_path, capsys):

@@ -348,7 +348,7 @@ def test_why_another_route_has_no_answer_is_told_once():
             snapshot["routes"][route] = {"route": route, "delta_rad": None, "reason": reason}
     text = flat(printed(found))
     assert text.count("It was lost.") == 1
-    assert "No answer by two encoders of before, after: It never turns." in text
+    assert 'No answer by two encoders of "before", "after": It never turns.' in text
 
 
 def test_the_ringing_is_always_told_with_its_time_constant_frequency_and_error():

@@ -934,7 +934,7 @@ def test_a_kuka_trace_is_read_with_its_samples(words: tuple[str, str], tmp_path:
     assert again.source is not None
     assert again.source.sha256 != first
     (tmp_path / "a.r64").write_bytes(bytes(80))
-    with pytest.raises(RecordingError, match="not all there"):
+    with pytest.raises(RecordingError, match="fewer samples than its header"):
         read_recording(path, columns=columns)
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import locked_sibling
-from bayesbl.results.folder import new_result, require_free
+from bayesbl.results.folder import locked_sibling, new_result, require_free
 from bayesbl.results.work import WorkStore
 
 AS_NOBODY = pytest.mark.skipif(

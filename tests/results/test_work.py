@@ -21,7 +21,7 @@ from bayesbl.identification.identify import Identification
 from bayesbl.measurement.amplitude_route import Fit
 from bayesbl.measurement.curves import SweepRow
 from bayesbl.measurement.direct_route import DirectMatch
-from bayesbl.results.atomic import locked_sibling
+from bayesbl.results.folder import locked_sibling
 from bayesbl.results.work import WorkStore, address, decoder, encoded
 from bayesbl.runs.study import Case
 

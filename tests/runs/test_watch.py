@@ -20,10 +20,8 @@ from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import BrokerError, ConfigError, ResultError
 from bayesbl.fleet.broker import Credentials, read_address
-from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
-from bayesbl.runs.collect import collect
-from bayesbl.runs.watch import Watched, watch
+from bayesbl.runs.watch import Watched, collect, watch
 
 pytest.importorskip("pyarrow")
 
@@ -121,7 +119,7 @@ def test_what_cannot_be_watched_is_told(plant):
 
 KILLED = """
 import os, signal, sys
-from bayesbl.fleet.recording_table import RecordingTable
+from bayesbl.fleet.plant_tables import RecordingTable
 from bayesbl import cli
 whole, calls = RecordingTable.save, []
 def killed(*arguments):
@@ -184,7 +182,7 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
         with patch.object(watching, "LAST_SENT_WAIT_S", wait_s):
             return " ".join(watched(plant, publish=below, credentials=ann))
 
-    with patch.object(collecting, "IDLE_S", 1.0):
+    with patch.object(watching, "IDLE_S", 1.0):
         # Nobody has asked yet, so the broker would drop what it takes.
         told = sent(3.0)
         assert "Nobody has asked" in told
@@ -225,7 +223,7 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
 def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, broker):
     from paho.mqtt.publish import multiple
 
-    from bayesbl.fleet.message import encoded_answer
+    from bayesbl.fleet.broker import encoded_answer
 
     address = read_address(f"mqtt://localhost:{broker.port}/plant")
     said: list[str] = []
@@ -249,7 +247,7 @@ def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, 
         b'{"schema": 2, "device": "d", "picture": {"joint": "J1", "date": "2025-01-01"}}',
         b'{"schema": 2, "device": "d", "recording": {"delta_rad_sd": 1%s}}' % (b"0" * 5000),
     )
-    with patch.object(collecting, "IDLE_S", 0.3):
+    with patch.object(watching, "IDLE_S", 0.3):
         collected()
         answer = encoded_answer(row, "d1")
         multiple(
@@ -264,7 +262,7 @@ def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, 
     assert (
         told[0] == told[-1] == "A message of 4 bytes on 'plant/r1' cannot be used: it is not JSON."
     )
-    with patch.object(collecting, "IDLE_S", 0.3):
+    with patch.object(watching, "IDLE_S", 0.3):
         said.clear()
         collected()
     assert said == [f"Waiting for answers from plant at localhost:{broker.port}."]

@@ -9,7 +9,7 @@ from typing import Any
 
 import xarray as xr
 
-from bayesbl.results.intervals import interval
+from bayesbl.results.store import interval
 
 
 def stored_comparison(

@@ -33,7 +33,6 @@ CURRENT_LOOP_LAG = Effect(
     data="ringing less damped; current behind speed",
     always_in=True,
     may_change=True,
-    in_nominal=True,  # up to the lag that the drive compensates
 )
 
 # A filter between motor and controller. Nearly equivalent to a lag of the current loop with a skew.
@@ -47,7 +46,6 @@ SPEED_SENSOR_LAG = Effect(
     data="ringing less damped; pulse fronts rounded",
     always_in=True,
     may_change=True,
-    in_nominal=True,  # up to the lag that the drive compensates
 )
 
 # At t = k T:  ω_k = (θ_k − θ_{k−1})/T,  e_k = ω_ref − ω_k,  I_k = I_{k−1} + T e_k

@@ -16,7 +16,7 @@ from bayesbl.presentation import figures
 from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_style, save
 from bayesbl.presentation.words import interval_kind, with_bounds
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import Interval, interval
+from bayesbl.results.store import Interval, interval
 
 
 def route_holding(tree: xr.DataTree, path: str) -> str | None:

@@ -24,9 +24,8 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.atomic import replacing
-from bayesbl.results.folder import figure_title
-from bayesbl.results.intervals import Interval
+from bayesbl.results.folder import figure_title, replacing
+from bayesbl.results.store import Interval
 
 SINGLE_COLUMN_IN = 3.4
 DOUBLE_COLUMN_IN = 7.0

@@ -200,7 +200,7 @@ def read_diadem(data: bytes) -> ArrayTable:
     values = np.frombuffer(samples, "<f8", count=len(samples) // 8)
     if count < 1 or not stored or values.size < count * stored:
         raise RecordingError(
-            "The samples of this header are not all there.",
+            "The file has fewer samples than its header states.",
             found=f"{values.size} numbers in the .r64 file beside it",
             expected=f"{stored} channels of {count} samples, 64-bit floats",
         )
