@@ -305,13 +305,14 @@ def load_lag(
     weight
         Deceleration of a free load by its weight, rad/s²: by cos (real) and sin of its angle.
     """
-    lag = np.empty(motor.size)
-    load, moving = motor[0] - start, 0.0
-    for k in range(motor.size):
-        period, before = time_s[k] - time_s[k - 1] if k else 0.0, moving
+    lag = np.full(motor.size, start)
+    # As if a flank takes the load along: at one, rounding alone decides whether it does.
+    load, moving = motor[0] - start, speed[0]
+    for k in range(1, motor.size):
+        period, before = time_s[k] - time_s[k - 1], moving
         if weight != 0.0:
             moving -= period * (weight.real * np.cos(load) + weight.imag * np.sin(load))
-        slowed = drag * period if k else np.inf
+        slowed = drag * period
         if abs(moving) <= slowed:
             load += 0.5 * before * abs(before) / drag if before != 0.0 else 0.0
             moving = 0.0

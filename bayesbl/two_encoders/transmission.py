@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -107,6 +108,9 @@ COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
 WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
+
+WEIGHTS = 9
+"""Of these, beside the likeliest, in the answer."""
 
 TRIED, MOVED = 512, 4
 """Points of this space that are weighed, and the best of them that are moved."""
@@ -531,7 +535,9 @@ class Model:
         if half_rad <= 0.0:
             return np.zeros(self.paths.motor_rad.size)
         path, how = self.paths, self.courses[course]
-        start = float(np.clip(self.lead, -half_rad, half_rad))
+        # Weight has moved a load to a flank before.
+        most = np.copysign(np.inf, self.lead) if how.weight else self.lead
+        start = float(np.clip(most, -half_rad, half_rad))
         if how.drives:
             motion = path.load_rad, path.speed, path.time_s
             return -np.asarray(load_lag(*motion, half_rad, how.drag, -start))
@@ -1007,15 +1013,50 @@ def _answered(
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
     noises = [model.again(noise), model.again(free)]
     sharp = _refined(model, range(len(model.courses)), best, noises, None)
-    whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
+    course = np.array([c.course for c in sharp])
+    whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), course)
     # Passages at one speed are alike: their number does not tell which course the load takes.
     least = -np.inf if model.design.one_speed else whole.max() - UNLIKELY
     likely = sorted({sharp[i].course for i in np.flatnonzero(whole >= least)})
+    if best.course in likely and model.courses[best.course].weight:
+        likely = [k for k in likely if k == best.course or not model.courses[k].weight]
+        others, final = _weights(model, best, noises, final)
+        likely += others
     model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
     evidence = logsumexp(_log_masses(lists[1], np.zeros(len(lists[1])), model))
     return _drawn(model, best, lists, free, generator, of_joint), float(evidence)
+
+
+def _weights(
+    model: Model, best: Cell, noises: Sequence[Noise], final: Final
+) -> tuple[list[int], Final]:
+    """Courses by other weights than the best one's, each with the friction of the most evidence;
+    and what all cells have, where the load flies by any of them.
+
+    Weight moves the load at the same angle both ways: a heavy one over a small h, beside a larger
+    transmission error, leaves as little as a light one over a large h.
+    """
+    first, how = len(model.courses), model.courses[best.course]
+    found = [model.cell(best.course, best.half_rad, noise, final) for noise in noises]
+
+    def at(point: FloatArray, weight: complex) -> Cell:
+        half, drag = np.exp(point).tolist()
+        model.courses[-1] = replace(how, drag=drag, weight=weight)
+        cells = [model.cell(len(model.courses) - 1, half, noise, final) for noise in noises]
+        return max(cells, key=lambda cell: cell.log_evidence)
+
+    for weight in (np.geomspace(*WEIGHT, WEIGHTS) * how.weight / abs(how.weight)).tolist():
+        model.courses.append(how)
+        start = np.log([best.half_rad, abs(weight) * float(np.sqrt(np.prod(RUBBED)))])
+        simplex = np.vstack([start, start + np.diag([0.2, 0.7])])
+        cost = partial(lambda weight, point: -at(point, weight).log_evidence, weight)
+        found.append(at(_lowest(cost, simplex, 60), weight))
+    least = max(cell.log_evidence for cell in found) - UNLIKELY
+    flown = [model.final(cell, final.misfit_rad) for cell in found if cell.log_evidence > least]
+    passing = np.max([final.passing, *(each.passing for each in flown)], axis=0)
+    return list(range(first, len(model.courses))), replace(final, passing=passing)
 
 
 def _mixed(
@@ -1171,7 +1212,8 @@ def _refined(
             cells.append(max(here, key=lambda cell: cell.log_evidence))
         cells.sort(key=lambda cell: (cell.course, cell.half_rad))
         masses = _log_masses(cells, np.zeros(len(cells)), model)
-        whole = _of_courses(masses, cells) if final else logsumexp(masses)
+        course = np.array([cell.course for cell in cells])
+        whole = _of_courses(masses, course) if final else logsumexp(masses)
         wanted = [
             (cells[i].course, float(half))
             for i in np.flatnonzero(masses - whole > np.log(0.04))
@@ -1181,11 +1223,11 @@ def _refined(
     return cells
 
 
-def _of_courses(masses: FloatArray, cells: Sequence[Cell]) -> FloatArray:
+def _of_courses(masses: FloatArray, course: NDArray[np.int64]) -> FloatArray:
     """Log probability of each cell's course, shape (cells − 1,)."""
-    course = np.array([c.course for c in cells[:-1]])
-    wholes = np.array([logsumexp(masses[course == k]) for k in range(course.max() + 1)])
-    return np.asarray(wholes[course])
+    of = course[:-1]
+    wholes = np.array([logsumexp(masses[of == k]) for k in range(of.max() + 1)])
+    return np.asarray(wholes[of])
 
 
 def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> FloatArray:
@@ -1297,7 +1339,7 @@ def _drawn(
     names = design.names
     count = int(np.prod(DRAWS))
     # Noise tells whether there is play and which course the load takes, misfit that lasts only h.
-    by_noise, cells = lists
+    cells = lists[1]
     again = model.again(noise)
     last = model.final(best, model.misfit(noise))
     of_held = _density_of_held(model, model.cell(best.course, best.half_rad, again, last))
@@ -1329,11 +1371,15 @@ def _drawn(
     plays = joint.uniform(size=count) < probability
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
+    # All weights are one course.
+    weights = [k for k, how in enumerate(model.courses) if how.weight]
+    tried, course = (np.array([c.course for c in each]) for each in lists)
+    for index in (tried, course):
+        index[np.isin(index, weights)] = min(weights, default=0)
     for mine, masses, wide in zip((~plays, plays), sharp[:2], blunt[:2], strict=True):
-        courses = (c.course for c in by_noise[:-1])
-        known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
+        known = dict(zip(tried[:-1].tolist(), _of_courses(masses, tried), strict=True))
         if not model.design.one_speed:
-            wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
+            wide += [known[k] for k in course[:-1].tolist()] - _of_courses(wide, course)
         weights = np.exp(wide - logsumexp(wide))
         interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
     share = generator.uniform(size=count)

@@ -88,6 +88,12 @@ def test_a_load_without_friction_keeps_its_speed_until_a_flank_takes_it():
     assert found[550] == pytest.approx(0.0, abs=2e-3)
 
 
+def test_a_load_that_coasts_starts_with_the_speed_of_the_motor():
+    time = 1e-3 * np.arange(1000)
+    found = load_lag(-time, np.full(1000, -1.0), time, 0.05, 0.0, 0.02)
+    np.testing.assert_allclose(found, 0.02, atol=1e-9)
+
+
 def test_a_count_does_not_average_where_the_encoder_stands():
     step = 2.0 * np.pi / 4096
     time = 1e-3 * np.arange(8000)
@@ -272,6 +278,22 @@ def test_a_load_over_its_balance_hides_no_play_in_ratio_and_transmission_error()
     assert low <= half <= high < 1.3 * half
     assert np.median(found.draws["gear_ratio"]) == pytest.approx(RATIO, rel=0.01)
     assert found.probability_of_play > 0.95
+
+
+def test_a_heavy_load_with_less_play_is_not_told_from_a_light_one_with_more():
+    """Over a pendulum's balance, on encoders of 12 bits: other weights count too."""
+    step, half, count = 5e-4, 0.03, 2.0 * np.pi / 2**12
+    time = np.arange(0.0, 36.0, step)
+    motor = np.sin(0.8 * np.pi * time + 0.4)
+    paths = motor[::20], weighed(motor, half, step, 5, eccentric=8e-3)[::20]
+    noises = (
+        np.random.default_rng(seed).normal(scale=0.3, size=time[::20].size) for seed in (0, 1)
+    )
+    read = [
+        count * np.round(path / count + noise) for path, noise in zip(paths, noises, strict=True)
+    ]
+    low, high = bounds(fitted(Channels(time[::20], *read), 1.0).draws["delta_rad"], 0.9)
+    assert low <= half <= high < 1.3 * half
 
 
 @pytest.mark.parametrize("most", [2.0, 0.6], ids=["turns", "rests"])
