@@ -66,5 +66,5 @@ def test_the_table_that_is_shipped_is_that_of_the_shipped_rows_and_is_drawn(stud
         table = list(csv.DictReader(file))
     assert [line["name"] for line in table] == [row.name for row in rows]
     assert [int(line["cases"]) for line in table] == [row.count for row in rows]
-    chosen, *_ = study.figure(table, {}).axes
+    chosen, *_ = study.module.figure(table, {}).axes
     assert [label.get_text() for label in chosen.get_yticklabels()] == [row.name for row in rows]
