@@ -1,0 +1,35 @@
+"""Messages and samples that lack numbers in between."""
+
+from __future__ import annotations
+
+from array import array
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from bayesbl.recording.formats.ros_bag import _groups
+from bayesbl.ringing.pointwise import _innovations
+
+
+def test_a_joint_whose_first_messages_lack_the_effort_is_one_group() -> None:
+    """Its messages are in order of their times, with NaN for what they lack."""
+    series = {
+        ("/joint_states", "j1", ("position",)): array("d", [0.0, 0.0, 1.0, 0.2, 0.2, 3.0]),
+        ("/joint_states", "j1", ("position", "effort")): array("d", [0.1, 0.1, 2.0, 5.0]),
+    }
+    (group,) = _groups(series)
+    assert np.array_equal(group.columns["position"], [1.0, 2.0, 3.0])
+    assert np.array_equal(group.columns["effort"], [np.nan, 5.0, np.nan], equal_nan=True)
+
+
+def test_lost_samples_of_differentiated_noise_do_not_add_up() -> None:
+    """The innovations of white noise, differentiated, are as large with lost samples as without."""
+    rng = np.random.default_rng(1)
+    rows = np.diff(rng.standard_normal(4001))[None]
+    used = np.arange(4000) % 50 != 25
+    point: Any = SimpleNamespace(
+        noise=SimpleNamespace(differentiated=True, coefficients=np.zeros(0)),
+        objective=SimpleNamespace(used=used),
+    )
+    assert abs(_innovations(point, rows)[0][used].std() - 1.0) < 0.05
