@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.formats.ros_bag import _groups
 from bayesbl.ringing.pointwise import _innovations
 
@@ -33,3 +34,13 @@ def test_lost_samples_of_differentiated_noise_do_not_add_up() -> None:
         objective=SimpleNamespace(used=used),
     )
     assert abs(_innovations(point, rows)[0][used].std() - 1.0) < 0.05
+
+
+def test_parts_of_a_second_beside_dates_are_in_order_and_change() -> None:
+    """Unsigned numbers out of order are not a clock, nor is a constant delay."""
+    unordered = ArrayTable({"x_ms": np.array([500, 100, 900, 200], dtype=np.uint16)})
+    seconds = np.array([0.0, 0.0, 0.0, 1.0])
+    assert np.array_equal(unordered.with_parts(seconds), seconds)
+    parts = {"delay_ms": np.ones(4), "time_ms": np.array([100, 200, 100, 200])}
+    dates = ArrayTable(parts).with_parts(np.array([0.0, 0.0, 1.0, 1.0]))
+    assert np.allclose(dates, [0.0, 0.1, 1.0, 1.1])
