@@ -7,7 +7,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
+from bayesbl.matching import loop_noise
 from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.formats.ros_bag import _groups
 from bayesbl.ringing.pointwise import _innovations
@@ -44,3 +46,22 @@ def test_parts_of_a_second_beside_dates_are_in_order_and_change() -> None:
     parts = {"delay_ms": np.ones(4), "time_ms": np.array([100, 200, 100, 200])}
     dates = ArrayTable(parts).with_parts(np.array([0.0, 0.0, 1.0, 1.0]))
     assert np.allclose(dates, [0.0, 0.1, 1.0, 1.1])
+
+
+def test_a_controller_without_gain_feeds_no_noise_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its current does not respond, which is no division by zero."""
+    size = 5
+    spectra = np.linspace(0.0, 0.5, size), np.ones(size), np.ones(size, complex)
+    monkeypatch.setattr(loop_noise, "_spectra", lambda *_: spectra)
+    idle = np.ones(size, complex), np.zeros(size, complex)
+    monkeypatch.setattr(loop_noise, "_loop_responses", lambda *_: idle)
+    observation = SimpleNamespace(samples=8, signals=np.ones((2, 8)))
+    fit: Any = SimpleNamespace(
+        point=np.zeros(1),
+        model=SimpleNamespace(
+            recordings=[observation],
+            noise=[SimpleNamespace(repeats=False)],
+            vectors=lambda *_: np.zeros((1, 1)),
+        ),
+    )
+    assert loop_noise.loop_noise(fit, 0) is None
