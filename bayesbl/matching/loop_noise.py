@@ -197,6 +197,8 @@ def loop_noise(fit: SimulatedFit, recording: int) -> LoopNoise | None:
         if len(observation.signals) > 1:
             gain, power = in_current[usable] / in_speed[usable], speed_power[usable]
             weight = float(np.sum(power * np.abs(gain) ** 2))
+            if weight == 0.0:
+                continue  # a controller without gain does not respond
             share = float(np.sum(np.real(cross_power[usable] * gain.conj()))) / weight
             unexplained_power = np.abs(cross_power[usable] - share * gain * power)
             sd = math.sqrt(0.5 * float(np.sum((unexplained_power * np.abs(gain)) ** 2))) / weight

@@ -347,14 +347,16 @@ class ArrayTable:
             called = _PART_OF_SECOND.search(name)
             if called is None or parts.dtype.kind not in "iuf" or parts.size != stamps.size:
                 continue
-            within, whole = np.diff(parts)[steps == 0.0], _IN_A_SECOND[called[1].lower()]
+            parts, whole = parts.astype(np.float64), _IN_A_SECOND[called[1].lower()]
+            within = np.diff(parts)[steps == 0.0]
             if time:
                 fits = (name[: called.start()] + called[2]).lower() == time.lower() != name.lower()
             else:
                 fits = not name[: called.start()][-1:].isalnum()
                 fits = fits and bool(np.all(within >= 0.0) or np.all(within <= 0.0))
+                fits = fits and bool(np.any(within))  # a constant, as a delay, is no clock
             if fits and np.all((parts >= 0.0) & (parts < whole)):
-                return np.asarray(stamps - stamps[0] + (parts - float(parts[0])) / whole)
+                return np.asarray(stamps - stamps[0] + (parts - parts[0]) / whole)
         return stamps
 
     def numbers(self, columns: Sequence[str]) -> FloatArray:

@@ -141,9 +141,12 @@ def _innovations(point: PointEstimate, rows: FloatArray) -> FloatArray:
     """Innovations of rows (p, n), of any value where samples are missing, (p, n − order)."""
     noise, used = point.noise, point.objective.used
     if noise.differentiated:
-        # The sums differ from the process by its unknown first value.
+        # The sums differ from the process by an unknown value, another one after each lost sample.
         rows = np.cumsum(np.where(used, rows, 0.0), axis=1)
-        rows = rows - rows.mean(axis=1, keepdims=True)
+        starts = np.flatnonzero(np.diff(used, prepend=not used[0]))
+        lengths = np.diff(starts, append=used.size)
+        means = np.add.reduceat(rows, starts, axis=1) / lengths
+        rows = rows - np.repeat(means, lengths, axis=1)
     return np.array([innovations(row, noise.coefficients) for row in rows])
 
 

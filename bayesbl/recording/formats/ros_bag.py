@@ -60,9 +60,9 @@ _Key = tuple[str, str, tuple[str, ...]]
 
 def _series(reader: Any) -> dict[_Key, array[float]]:
     """Rows of the header's stamp (NaN if none), the time of recording, both in s since the first
-    message of this kind, and the numbers."""
+    message of this topic and joint, and the numbers."""
     series: dict[_Key, array[float]] = defaultdict(lambda: array("d"))
-    first: dict[_Key, tuple[int, int]] = {}
+    first: dict[tuple[str, str], tuple[int, int]] = {}
     for connection, received_ns, raw in reader.messages():
         message = reader.deserialize(raw, connection.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)
@@ -72,7 +72,7 @@ def _series(reader: Any) -> dict[_Key, array[float]]:
             if not numbers:
                 continue
             key = connection.topic, joint, tuple(numbers)
-            start_ns, begin_ns = first.setdefault(key, (stamp_ns, received_ns))
+            start_ns, begin_ns = first.setdefault(key[:2], (stamp_ns, received_ns))
             stamp_s = (stamp_ns - start_ns) / 1e9 if stamp_ns else math.nan
             series[key].extend([stamp_s, (received_ns - begin_ns) / 1e9, *numbers.values()])
     return series
@@ -107,9 +107,19 @@ def _fields(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[st
 def _groups(series: Mapping[_Key, array[float]]) -> Iterator[Group]:
     """Groups by joint, with the topic in front if several topics have the joint."""
     times = Counter(joint for _, joint in {key[:2] for key in series})
-    for (topic, joint, names), numbers in series.items():
-        stamps_s, received_s, *values = np.array(numbers).reshape(-1, 2 + len(names)).T
+    for topic, joint in dict.fromkeys(key[:2] for key in series):
+        # Some messages may lack numbers that others have, as an effort before the drive is on.
+        kinds = {key[2]: rows for key, rows in series.items() if key[:2] == (topic, joint)}
+        fields = ["", "received_s", *dict.fromkeys(name for names in kinds for name in names)]
+        place = {field: column for column, field in enumerate(fields)}
+        blocks = []
+        for names, numbers in kinds.items():
+            rows = np.array(numbers).reshape(-1, 2 + len(names))
+            blocks.append(np.full((len(rows), len(fields)), np.nan))
+            blocks[-1][:, [0, 1, *(place[name] for name in names)]] = rows
+        table = np.concatenate(blocks)
+        stamps_s, *values = table[np.argsort(table[:, 1], kind="stable")].T
         name = topic if not joint else joint if times[joint] == 1 else f"{topic}/{joint}"
-        columns = dict(zip(names, values, strict=True)) | {"received_s": received_s}
         units = (_JOINT_UNITS if joint else {}) | {"received_s": "s"}
+        columns = dict(zip(fields[1:], values, strict=True))
         yield Group(name, columns, stamps_s if np.isfinite(stamps_s).all() else None, units)
