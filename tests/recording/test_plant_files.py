@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import datetime
 import json
+from array import array
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -14,7 +15,9 @@ import pytest
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording import text_table
+from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.formats.ros_bag import _groups
 from bayesbl.recording.guessing import UNKNOWN, GuessedColumn, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 
@@ -568,3 +571,24 @@ def test_microseconds_may_have_a_column_beside_whole_dates(tmp_path: Path) -> No
     path = written(tmp_path, "\n".join(["Date,Time,us,motor_speed_rpm", *rows]))
     read = read_recording(path, columns={"time_s": ColumnSpec("Time")})
     np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+
+
+def test_a_joint_whose_first_messages_lack_the_effort_is_one_group() -> None:
+    """Its messages are in order of their times, with NaN for what they lack."""
+    series = {
+        ("/joint_states", "j1", ("position",)): array("d", [0.0, 0.0, 1.0, 0.2, 0.2, 3.0]),
+        ("/joint_states", "j1", ("position", "effort")): array("d", [0.1, 0.1, 2.0, 5.0]),
+    }
+    (group,) = _groups(series)
+    assert np.array_equal(group.columns["position"], [1.0, 2.0, 3.0])
+    assert np.array_equal(group.columns["effort"], [np.nan, 5.0, np.nan], equal_nan=True)
+
+
+def test_parts_of_a_second_beside_dates_are_in_order_and_change() -> None:
+    """Unsigned numbers out of order are not a clock, nor is a constant delay."""
+    unordered = ArrayTable({"x_ms": np.array([500, 100, 900, 200], dtype=np.uint16)})
+    seconds = np.array([0.0, 0.0, 0.0, 1.0])
+    assert np.array_equal(unordered.with_parts(seconds), seconds)
+    parts = {"delay_ms": np.ones(4), "time_ms": np.array([100, 200, 100, 200])}
+    dates = ArrayTable(parts).with_parts(np.array([0.0, 0.0, 1.0, 1.0]))
+    assert np.allclose(dates, [0.0, 0.1, 1.0, 1.1])

@@ -17,6 +17,7 @@ from bayesbl.noise.rotation_noise import innovation_share, innovations
 from bayesbl.recording.types import MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.pointwise import (
+    _innovations,
     innovation_sd,
     likelihood_draws,
     log_likelihood,
@@ -86,6 +87,15 @@ def test_the_innovations_of_a_differentiated_process_are_those_of_the_process(po
     """A white process of sd 1 changes from sample to sample with the variance 2."""
     white = replace(point.noise, sd_rpm=np.sqrt(2.0), coefficients=np.zeros(0), differentiated=True)
     assert innovation_sd(white) == pytest.approx(1.0)
+
+
+def test_lost_samples_of_a_differentiated_process_do_not_add_up(point):
+    """Its innovations are as large with lost samples as without."""
+    white = replace(point.noise, sd_rpm=np.sqrt(2.0), coefficients=np.zeros(0), differentiated=True)
+    lost = np.arange(point.objective.samples) % 50 == 25
+    own = replace(point, noise=white, recording=replace(point.recording, excluded=lost))
+    counts = np.diff(np.random.default_rng(1).standard_normal(lost.size + 1))
+    assert _innovations(own, counts[None])[0][~lost].std() == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_differentiated_process_shows_the_mean_speed_by_the_position(point):
